@@ -1,0 +1,267 @@
+"""Artefacts: folders that are whole or absent, know their bytes, and know where they come from.
+
+An artefact is a folder of payload files and three records:
+
+    config.json     all of the configuration that made it, defaults included
+    lineage.json    kind, key of its inputs, parents (digest and lineage of each), code and package versions, facts
+    manifest.json   SHA-256 and size of every other file
+
+Its *digest* is the SHA-256 of manifest.json. No path, host, user name or time of day is in any of them, so the same
+inputs give the same digest in any folder. It is written in a hidden sibling folder and renamed when it is whole.
+"""
+
+import fcntl
+import functools
+import hashlib
+import importlib.metadata
+import os
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+import gym_open
+from gym_open.config import Config, to_dict
+from gym_open.errors import ArtefactError, UsageError
+
+CONFIG, LINEAGE, MANIFEST = "config.json", "lineage.json", "manifest.json"
+SCRATCH = "checkpoint"
+"""Folder inside an unfinished artefact for whatever a resume needs; removed before sealing."""
+
+RECORDED_PACKAGES = ("lerobot", "mcap", "mujoco", "mujoco-core", "numba", "numpy", "pyarrow", "torch")
+
+
+class Entry(msgspec.Struct, frozen=True):
+    """One file of a manifest."""
+
+    sha256: str
+    bytes: int
+
+
+class Parent(msgspec.Struct, frozen=True):
+    """An input artefact, with its own lineage, so that a chain can be read without the input being there."""
+
+    digest: str
+    lineage: "Lineage"
+
+
+class Lineage(msgspec.Struct, frozen=True):
+    """Where an artefact comes from."""
+
+    kind: str
+    key: str
+    """Digest of everything that went in: kind, configuration, parents, code."""
+    code: str
+    packages: dict[str, str]
+    facts: dict[str, Any]
+    """What later stages must be able to rely on, for example the task and puzzle digests of a log."""
+    parents: list[Parent]
+
+
+class Outcome(msgspec.Struct, frozen=True):
+    """What `build` did: the artefact's path and whether it was made now or was there already."""
+
+    path: Path
+    made: bool
+
+
+def sha256_file(path: Path) -> str:
+    """SHA-256 of a file's bytes, in hex."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def canonical_json(value: Any) -> bytes:
+    """JSON with sorted keys and a final newline: equal values give equal bytes."""
+    return msgspec.json.format(msgspec.json.encode(value, order="sorted"), indent=1) + b"\n"
+
+
+@functools.cache
+def code_version() -> str:
+    """Version of gym-open and a digest of its source files, so that changed code is never taken for the same."""
+    root = Path(gym_open.__file__).parent
+    total = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        total.update(f"{path.relative_to(root).as_posix()} {sha256_file(path)}\n".encode())
+    return f"{gym_open.__version__}+{total.hexdigest()[:12]}"
+
+
+def _packages() -> dict[str, str]:
+    found = {}
+    for name in RECORDED_PACKAGES:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue  # training and evaluation also run where LeRobot is not installed
+    return found
+
+
+def digest(path: Path) -> str:
+    """Digest of the artefact at `path`.
+
+    Raises:
+        ArtefactError: if there is no artefact.
+    """
+    manifest = path / MANIFEST
+    if not manifest.is_file():
+        raise ArtefactError(f"{path}: not an artefact of gym-open ({MANIFEST} is missing); build it first")
+    return sha256_file(manifest)
+
+
+def lineage(path: Path) -> Lineage:
+    """Lineage record of the artefact at `path`.
+
+    Raises:
+        ArtefactError: if it is missing or not readable as a lineage.
+    """
+    return _read(path / LINEAGE, Lineage)
+
+
+def config_of(path: Path) -> dict[str, Any]:
+    """The configuration, as plain data, that made the artefact at `path`."""
+    return _read(path / CONFIG, dict[str, Any])
+
+
+def _read(path: Path, kind: Any) -> Any:
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=kind)
+    except FileNotFoundError:
+        raise ArtefactError(f"{path}: missing; the artefact is not whole, build it again") from None
+    except msgspec.DecodeError as error:
+        raise ArtefactError(f"{path}: not readable: {error}; build the artefact again") from None
+
+
+def _files(path: Path) -> Iterator[Path]:
+    for item in sorted(path.rglob("*")):
+        if item.is_symlink() or not (item.is_file() or item.is_dir()):
+            raise ArtefactError(f"{item}: links and special files do not belong in an artefact; remove it")
+        if item.is_file():
+            yield item
+
+
+def verify(path: Path, kind: str | None = None) -> str:
+    """Check every byte of the artefact at `path` and return its digest.
+
+    Args:
+        path: folder of the artefact.
+        kind: if given, the kind that it must be (`log`, `release`, `encoder`, `policy`, …).
+
+    Raises:
+        ArtefactError: naming the file that is missing, changed or extra, or the wrong kind.
+    """
+    found = digest(path)
+    if kind is not None and lineage(path).kind != kind:
+        raise ArtefactError(f"{path}: expected an artefact of kind {kind!r}, got {lineage(path).kind!r}")
+    manifest: dict[str, Entry] = _read(path / MANIFEST, dict[str, Entry])
+    present = {item.relative_to(path).as_posix(): item for item in _files(path)}
+    present.pop(MANIFEST)
+    for name in sorted(set(manifest) | set(present)):
+        if name not in present:
+            raise ArtefactError(f"{path / name}: missing, but listed in {MANIFEST}; restore it or build again")
+        if name not in manifest:
+            raise ArtefactError(f"{path / name}: not listed in {MANIFEST}; remove the extra file")
+        size, expected = present[name].stat().st_size, manifest[name]
+        if size != expected.bytes:
+            raise ArtefactError(
+                f"{path / name}: {size} bytes, {MANIFEST} says {expected.bytes}; restore it or build again"
+            )
+        if sha256_file(present[name]) != expected.sha256:
+            raise ArtefactError(
+                f"{path / name}: its SHA-256 is not the one in {MANIFEST} (changed bytes); restore it or build again"
+            )
+    return found
+
+
+def build(
+    out: Path, *, kind: str, config: Config, parents: Sequence[Path], work: Callable[[Path], Mapping[str, Any]]
+) -> Outcome:
+    """Make the artefact `out` unless it is already there and up to date.
+
+    `work` gets a folder to write the payload into and returns the facts for the lineage. The folder survives a kill:
+    if it holds files, `work` goes on from them. Unfinished work of other inputs is set aside, never deleted.
+
+    Args:
+        out: folder of the artefact.
+        kind: `log`, `release`, `encoder`, `policy`, `probe`, `scores` or `recording`.
+        config: everything that decides the result, the seed included.
+        parents: folders of the input artefacts; each is verified byte by byte first.
+        work: writes the payload.
+
+    Raises:
+        ArtefactError: if a parent is damaged or `out` is something else.
+        UsageError: if another process is writing `out` now.
+    """
+    out = out.absolute()
+    inputs = [Parent(digest=verify(parent), lineage=lineage(parent)) for parent in parents]
+    key = _key(kind, config, inputs)
+    if out.exists():
+        if not (out / LINEAGE).is_file():
+            raise ArtefactError(f"{out}: exists and is not an artefact of gym-open; give another --out or remove it")
+        if lineage(out).key == key:
+            verify(out)
+            return Outcome(path=out, made=False)
+    partial = out.parent / f".{out.name}.partial"
+    partial.parent.mkdir(parents=True, exist_ok=True)
+    with _lock(out):
+        _claim(partial, key)
+        facts = dict(work(partial))
+        record = Lineage(kind=kind, key=key, code=code_version(), packages=_packages(), facts=facts, parents=inputs)
+        _seal(partial, config, record)
+        if out.exists():
+            shutil.rmtree(out)
+        partial.rename(out)
+    return Outcome(path=out, made=True)
+
+
+def _key(kind: str, config: Config, parents: list[Parent]) -> str:
+    value = [kind, to_dict(config), [parent.digest for parent in parents], code_version()]
+    return hashlib.sha256(canonical_json(value)).hexdigest()
+
+
+def _claim(partial: Path, key: str) -> None:
+    mark = partial / SCRATCH / "key"
+    if partial.exists() and (not mark.is_file() or mark.read_text() != key):
+        aside = partial.with_name(f"{partial.name}-{sha256_file(mark)[:8] if mark.is_file() else 'unmarked'}")
+        shutil.rmtree(aside, ignore_errors=True)
+        partial.rename(aside)
+    mark.parent.mkdir(parents=True, exist_ok=True)
+    if not mark.exists():
+        write_atomically(mark, key.encode())
+
+
+def _seal(partial: Path, config: Config, record: Lineage) -> None:
+    shutil.rmtree(partial / SCRATCH)
+    (partial / CONFIG).write_bytes(canonical_json(to_dict(config)))
+    (partial / LINEAGE).write_bytes(canonical_json(record))
+    entries = {
+        item.relative_to(partial).as_posix(): Entry(sha256=sha256_file(item), bytes=item.stat().st_size)
+        for item in _files(partial)
+    }
+    write_atomically(partial / MANIFEST, canonical_json(entries))
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Write a file beside, flush it to disk, then rename: readers see the old bytes or the new, never half."""
+    beside = path.with_name(f".{path.name}.tmp")
+    with beside.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+    beside.rename(path)
+
+
+@contextmanager
+def _lock(out: Path) -> Iterator[None]:
+    lock = out.parent / f".{out.name}.lock"
+    with lock.open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise UsageError(
+                f"{out}: another gym-open process is writing it; wait for it or give another --out"
+            ) from None
+        yield
+        lock.unlink(missing_ok=True)

@@ -1,0 +1,94 @@
+"""Strict, frozen configuration: one type a stage, read from TOML and changed by options.
+
+An unknown key, a value of the wrong type or out of bounds is refused by name before any work starts.
+"""
+
+import difflib
+import re
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import msgspec
+from msgspec import Meta
+
+from gym_open.errors import ConfigError
+
+PositiveInt = Annotated[int, Meta(ge=1)]
+Count = Annotated[int, Meta(ge=0)]
+PositiveFloat = Annotated[float, Meta(gt=0)]
+NonNegativeFloat = Annotated[float, Meta(ge=0)]
+Fraction = Annotated[float, Meta(ge=0, le=1)]
+Seed = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+
+
+class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Base of every stage's configuration."""
+
+
+C = TypeVar("C", bound=Config)
+
+_UNKNOWN = re.compile(r"unknown field `(?P<key>[^`]*)`")
+_PATH = re.compile(r" - at `\$(?P<path>[^`]*)`")
+
+
+def load(path: Path, kind: type[C]) -> C:
+    """Read a configuration of type `kind` from the TOML file at `path`.
+
+    Raises:
+        ConfigError: if the file is missing, is not TOML, or holds a key or value that `kind` refuses.
+    """
+    try:
+        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such configuration file; give another with --config") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: not valid TOML: {error}") from None
+    return decode(raw, kind, source=str(path))
+
+
+def decode(raw: dict[str, Any], kind: type[C], *, source: str) -> C:
+    """Turn plain data into a configuration of type `kind`; `source` is named in errors.
+
+    Raises:
+        ConfigError: naming the source, the key, what was expected and what came.
+    """
+    try:
+        return msgspec.convert(raw, kind, strict=True)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"{source}: {_explain(str(error), raw, kind)}") from None
+
+
+def check(config: C, *, source: str) -> C:
+    """Check bounds of a configuration that was built in Python or from options (types become values there)."""
+    return decode(to_dict(config), type(config), source=source)
+
+
+def to_dict(config: Config) -> dict[str, Any]:
+    """All of the configuration, defaults included, as plain JSON-ready data."""
+    return msgspec.to_builtins(config)
+
+
+def _explain(message: str, raw: dict[str, Any], kind: type[Config]) -> str:
+    place = _PATH.search(message)
+    keys = [key for key in (place["path"] if place else "").split(".") if key]
+    text = _PATH.sub("", message)
+    if unknown := _UNKNOWN.search(text):
+        key = unknown["key"]
+        known = _fields_at(kind, keys)
+        close = difflib.get_close_matches(key, known, n=1)
+        hint = f"did you mean `{close[0]}`?" if close else f"known keys are {', '.join(known)}"
+        return f"unknown key `{'.'.join([*keys, key])}`; {hint}"
+    value: Any = raw
+    for key in keys:
+        value = value.get(key) if isinstance(value, dict) else None
+    return f"key `{'.'.join(keys)}`: {text[0].lower()}{text[1:]}, got {value!r}"
+
+
+def _fields_at(kind: type[Config], keys: list[str]) -> list[str]:
+    for key in keys:
+        inner = kind.__annotations__.get(key)
+        if not (isinstance(inner, type) and issubclass(inner, Config)):
+            return []
+        kind = inner
+    return list(kind.__struct_fields__)

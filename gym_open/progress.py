@@ -1,0 +1,41 @@
+"""What a person sees while work goes on: one progress bar with rate and remaining time."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+from rich.text import Text
+
+console = Console(stderr=True)
+
+
+class _Rate(ProgressColumn):
+    def render(self, task: Task) -> Text:
+        speed = task.finished_speed or task.speed
+        return Text(f"{speed:,.0f}/s" if speed else "", style="progress.data.speed")
+
+
+class Bar:
+    """A running progress bar; `note` is a short live text (a loss, a score)."""
+
+    def __init__(self, progress: Progress, task: int) -> None:
+        self._progress, self._task = progress, task
+
+    def advance(self, amount: int = 1, note: str | None = None) -> None:
+        """Move on by `amount` units."""
+        if note is not None:
+            self._progress.update(self._task, note=note)
+        self._progress.advance(self._task, amount)  # type: ignore[arg-type]
+
+
+@contextmanager
+def bar(title: str, total: int, *, done: int = 0) -> Iterator[Bar]:
+    """Show a bar of `total` units titled `title`, `done` of them already behind us (after a resume)."""
+    columns = (
+        TextColumn("{task.description:<28}"), BarColumn(bar_width=24), MofNCompleteColumn(), _Rate(),
+        TimeRemainingColumn(), TextColumn("{task.fields[note]}"),
+    )  # fmt: skip
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task(title, total=total, completed=done, note="")
+        yield Bar(progress, task)
