@@ -19,14 +19,14 @@ class _Rate(ProgressColumn):
 class Bar:
     """A running progress bar; `note` is a short live text (a loss, a score)."""
 
-    def __init__(self, progress: Progress, task: int) -> None:
+    def __init__(self, progress: Progress, task: TaskID) -> None:
         self._progress, self._task = progress, task
 
     def advance(self, amount: int = 1, note: str | None = None) -> None:
         """Move on by `amount` units."""
         if note is not None:
             self._progress.update(self._task, note=note)
-        self._progress.advance(self._task, amount)  # type: ignore[arg-type]
+        self._progress.advance(self._task, amount)
 
 
 @contextmanager

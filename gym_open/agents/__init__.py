@@ -1,0 +1,1 @@
+"""Pure learning code: encoders, world models, rewards and PPO. No disk, no environment construction."""

@@ -1,0 +1,1 @@
+"""Stage 1: exploration policies play in the sandbox, and everything is logged."""

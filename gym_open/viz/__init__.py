@@ -1,0 +1,1 @@
+"""Looking: any log, release or policy as a Rerun recording. The only package that imports rerun."""
