@@ -1,1 +1,5 @@
-"""Stage 2: logs become verifiable, reproducible LeRobot releases."""
+"""Logs become versioned dataset releases in LeRobot v3.0; `open_release` is the reader that everyone uses."""
+
+from gym_open.formats.releases import Release, open_release
+
+__all__ = ["Release", "open_release"]
