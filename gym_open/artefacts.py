@@ -14,6 +14,7 @@ import fcntl
 import functools
 import hashlib
 import importlib.metadata
+import itertools
 import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -42,10 +43,20 @@ class Entry(msgspec.Struct, frozen=True):
 
 
 class Parent(msgspec.Struct, frozen=True):
-    """An input artefact, with its own lineage, so that a chain can be read without the input being there."""
+    """An input artefact with its own records, so that a chain can be read and checked without the input being there."""
 
     digest: str
+    manifest: dict[str, Entry]
     lineage: "Lineage"
+
+    def is_consistent(self) -> bool:
+        """Whether the digest is that of this manifest, and the manifest's lineage is this lineage."""
+        entry = self.manifest.get(LINEAGE)
+        return (
+            entry is not None
+            and hashlib.sha256(canonical_json(self.manifest)).hexdigest() == self.digest
+            and hashlib.sha256(canonical_json(self.lineage)).hexdigest() == entry.sha256
+        )
 
 
 class Lineage(msgspec.Struct, frozen=True):
@@ -125,6 +136,10 @@ def config_of(path: Path) -> dict[str, Any]:
     return _read(path / CONFIG, dict[str, Any])
 
 
+def _manifest(path: Path) -> dict[str, Entry]:
+    return _read(path / MANIFEST, dict[str, Entry])
+
+
 def _read(path: Path, kind: Any) -> Any:
     try:
         return msgspec.json.decode(path.read_bytes(), type=kind)
@@ -155,7 +170,7 @@ def verify(path: Path, kind: str | None = None) -> str:
     found = digest(path)
     if kind is not None and lineage(path).kind != kind:
         raise ArtefactError(f"{path}: expected an artefact of kind {kind!r}, got {lineage(path).kind!r}")
-    manifest: dict[str, Entry] = _read(path / MANIFEST, dict[str, Entry])
+    manifest = _manifest(path)
     present = {item.relative_to(path).as_posix(): item for item in _files(path)}
     present.pop(MANIFEST)
     for name in sorted(set(manifest) | set(present)):
@@ -195,7 +210,7 @@ def build(
         UsageError: if another process is writing `out` now.
     """
     out = out.absolute()
-    inputs = [Parent(digest=verify(parent), lineage=lineage(parent)) for parent in parents]
+    inputs = [Parent(digest=verify(parent), manifest=_manifest(parent), lineage=lineage(parent)) for parent in parents]
     key = _key(kind, config, inputs)
     if out.exists():
         if not (out / LINEAGE).is_file():
@@ -224,9 +239,8 @@ def _key(kind: str, config: Config, parents: list[Parent]) -> str:
 def _claim(partial: Path, key: str) -> None:
     mark = partial / SCRATCH / "key"
     if partial.exists() and (not mark.is_file() or mark.read_text() != key):
-        aside = partial.with_name(f"{partial.name}-{sha256_file(mark)[:8] if mark.is_file() else 'unmarked'}")
-        shutil.rmtree(aside, ignore_errors=True)
-        partial.rename(aside)
+        taken = (partial.with_name(f"{partial.name}-{number}") for number in itertools.count(1))
+        partial.rename(next(name for name in taken if not name.exists()))
     mark.parent.mkdir(parents=True, exist_ok=True)
     if not mark.exists():
         write_atomically(mark, key.encode())

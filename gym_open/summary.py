@@ -1,0 +1,74 @@
+"""Tables that a person reads at the end: scores, probes, proof. Everything comes from artefacts on disk."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from rich.table import Table
+
+from gym_open import artefacts
+
+PAPER_NOTE = "paper, goal-seeking, 1M steps: PPO from scratch .509, CURL+RIDE .532, human .584"
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """A payload file of an artefact as plain data."""
+    return msgspec.json.decode(path.read_bytes())
+
+
+def score_table(scores: Mapping[str, Path]) -> Table:
+    """One row an agent: A-Success with its 95% interval over the puzzles, mean return, actions, training steps."""
+    task = next(iter({read_json(path / "scores.json")["task"] for path in scores.values()}))
+    table = Table(title=f"{task}: the same 100 puzzles for everyone", title_justify="left")
+    for name in ("agent", "A-Success (±95%)", "mean return", "mean actions", "training steps", "task-free proof"):
+        table.add_column(name, justify="left" if name in ("agent", "task-free proof") else "right")
+    for name, path in scores.items():
+        record = read_json(path / "scores.json")
+        table.add_row(
+            name,
+            f"{record['a_success']:.3f} ± {record['a_success_half_width_95']:.3f}",
+            f"{record['mean_return']:.2f}",
+            f"{record['mean_steps']:.0f}",
+            f"{_training_steps(path):,}",
+            record["proof"]["verdict"],
+        )
+    return table
+
+
+def _training_steps(scores: Path) -> int:
+    parents = artefacts.lineage(scores).parents
+    return int(parents[0].lineage.facts["steps"]) if parents else 0
+
+
+def probe_table(path: Path) -> Table:
+    """One row a target: how well a linear map reads it from the encoder's features on held-out worlds."""
+    table = Table(title="linear probe, held-out worlds (R², error in cells)", title_justify="left")
+    table.add_column("position of")
+    targets = read_json(path / "probe.json")["targets"]
+    features = list(next(iter(targets.values())))
+    for name in features:
+        table.add_column(name, justify="right")
+    for target, row in targets.items():
+        cells = (f"{row[name]['r2']:.2f}  {row[name]['error_cells']:.2f}" for name in features)
+        table.add_row(target, *cells)
+    return table
+
+
+def proof_text(name: str, scores: Path) -> str:
+    """The task-free proof of one agent in a few lines."""
+    proof = read_json(scores / "scores.json")["proof"]
+    if proof["verdict"] == "proven":
+        chain = " ← ".join(proof["chain"])
+        return f"{name}: task-free, proven: {chain}; sandbox only, no extrinsic reward, no evaluation puzzle"
+    return f"{name}: {proof['verdict']}: {'; '.join(proof['reasons'])}"
+
+
+def stage_table(rows: list[tuple[str, str, str, str]]) -> Table:
+    """One row a stage: name, what came of it, seconds, digest."""
+    table = Table(title="stages", title_justify="left")
+    for name in ("stage", "result", "time", "digest"):
+        table.add_column(name, justify="right" if name == "time" else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    return table

@@ -1,0 +1,62 @@
+"""A workspace: a folder with the five stage folders. The repository root is one; `gym-open init` makes another."""
+
+import shutil
+from pathlib import Path
+
+from gym_open.errors import UsageError
+
+STAGES = ("collect", "datasets", "train", "evaluate", "viz")
+
+IGNORED = (
+    "collect/logs/",
+    "datasets/open/",
+    "train/encoders/",
+    "train/policies/",
+    "train/probes/",
+    "evaluate/scores/",
+    "viz/recordings/",
+    "viz/figures/",
+)
+"""What the stages write by default."""
+
+
+def template() -> Path:
+    """The folder that holds the stage folders to copy: in the installed wheel, or the repository root."""
+    package = Path(__file__).parent
+    packaged = package / "_workspace"
+    return packaged if packaged.is_dir() else package.parent
+
+
+def init(target: Path) -> list[Path]:
+    """Make a workspace at `target` with the default configurations and return the files written.
+
+    Raises:
+        UsageError: if a stage folder is already there (nothing is written then).
+    """
+    if taken := [stage for stage in STAGES if (target / stage).exists()]:
+        raise UsageError(
+            f"{target / taken[0]}: exists already; give `gym-open init` a folder without the stage folders"
+        )
+    written = []
+    for stage in STAGES:
+        (target / stage).mkdir(parents=True)
+        source = template() / stage
+        for item in sorted([*source.glob("*.toml"), *source.glob("README.md")]):
+            written.append(Path(shutil.copyfile(item, target / stage / item.name)))
+    ignore = target / ".gitignore"
+    if not ignore.exists():
+        ignore.write_text("".join(f"/{name}\n" for name in IGNORED) + ".*.partial*/\n.*.lock\n", encoding="utf-8")
+        written.append(ignore)
+    return written
+
+
+def check(root: Path) -> Path:
+    """Return `root` if it is a workspace.
+
+    Raises:
+        UsageError: naming the folder that is missing and how to make a workspace.
+    """
+    missing = next((stage for stage in STAGES if not (root / stage).is_dir()), None)
+    if missing is not None:
+        raise UsageError(f"{root}: not a workspace, it has no folder {missing!r}; make one with: gym-open init {root}")
+    return root
