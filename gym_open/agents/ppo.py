@@ -1,0 +1,165 @@
+"""Proximal policy optimisation, line by line as in CleanRL's `ppo_atari.py` (Huang et al. 2022).
+
+Two departures: truncation and termination are told apart (Pardo et al. 2018), and pictures are shifted at random in
+the update (Kostrikov et al. 2021).
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from gym_open.agents.augment import random_shift
+from gym_open.agents.config import PPOConfig
+from gym_open.agents.encoder import autocast
+from gym_open.agents.policy import ActorCritic
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """T steps of N environments, time first.
+
+    Attributes:
+        obs: what the policy saw before each action, (T, N, 84, 84, 3) uint8.
+        actions: (T, N) int64.
+        logprobs: log-probability of each action when it was taken, (T, N).
+        rewards: (T, N).
+        values: value of `obs`, (T, N).
+        next_values: value of what each action led to, (T, N). At the end of an episode this is the episode's own last
+            observation, never the first of the next episode.
+        terminations: the step ended its episode for good: nothing is to be had after it, (T, N) bool.
+        truncations: the step was the last that was looked at, but the world would have gone on, (T, N) bool.
+    """
+
+    obs: Tensor
+    actions: Tensor
+    logprobs: Tensor
+    rewards: Tensor
+    values: Tensor
+    next_values: Tensor
+    terminations: Tensor
+    truncations: Tensor
+
+    @classmethod
+    def empty(cls, n_steps: int, n_envs: int, image_shape: tuple[int, ...]) -> "Rollout":
+        """Room for `n_steps` of `n_envs` environments, all zero."""
+        shape = (n_steps, n_envs)
+        return cls(
+            obs=torch.zeros(*shape, *image_shape, dtype=torch.uint8),
+            actions=torch.zeros(shape, dtype=torch.int64),
+            logprobs=torch.zeros(shape),
+            rewards=torch.zeros(shape),
+            values=torch.zeros(shape),
+            next_values=torch.zeros(shape),
+            terminations=torch.zeros(shape, dtype=torch.bool),
+            truncations=torch.zeros(shape, dtype=torch.bool),
+        )
+
+
+@dataclass(frozen=True)
+class PPOStats:
+    """What an update did, averaged over its gradient steps (`explained_variance` is of the rollout's own values)."""
+
+    policy_loss: float
+    value_loss: float
+    entropy: float
+    approx_kl: float
+    clip_fraction: float
+    explained_variance: float
+
+
+def gae(rollout: Rollout, gamma: float, gae_lambda: float) -> Tensor:
+    """Generalised advantage estimate (Schulman et al. 2016), (T, N).
+
+    `delta[t] = reward[t] + gamma · next_value[t] · (1 − terminated[t]) − value[t]` and
+    `advantage[t] = delta[t] + gamma · lambda · (1 − ended[t]) · advantage[t+1]`: a terminated step bootstraps from
+    nothing, a truncated one from the value of its last observation, and nothing flows back over either.
+    """
+    alive = (~rollout.terminations).float()
+    same_episode = (~(rollout.terminations | rollout.truncations)).float()
+    delta = rollout.rewards + gamma * rollout.next_values * alive - rollout.values
+    advantages = torch.zeros_like(rollout.rewards)
+    lastgaelam = torch.zeros_like(rollout.rewards[0])
+    for t in reversed(range(len(delta))):
+        lastgaelam = delta[t] + gamma * gae_lambda * same_episode[t] * lastgaelam
+        advantages[t] = lastgaelam
+    return advantages
+
+
+def policy_loss(logratio: Tensor, advantages: Tensor, clip_coef: float) -> Tensor:
+    """`mean(max(−A·r, −A·clip(r, 1 − clip_coef, 1 + clip_coef)))` with `r = exp(logratio)`; all (B,)."""
+    ratio = logratio.exp()
+    pg_loss1 = -advantages * ratio
+    pg_loss2 = -advantages * ratio.clamp(1 - clip_coef, 1 + clip_coef)
+    return torch.max(pg_loss1, pg_loss2).mean()
+
+
+def value_loss(newvalue: Tensor, value: Tensor, returns: Tensor, clip_coef: float | None) -> Tensor:
+    """Half the mean square error to the returns; the worse of the clipped and the unclipped value if `clip_coef`."""
+    v_loss = (newvalue - returns) ** 2
+    if clip_coef is not None:
+        v_clipped = value + (newvalue - value).clamp(-clip_coef, clip_coef)
+        v_loss = torch.max(v_loss, (v_clipped - returns) ** 2)
+    return 0.5 * v_loss.mean()
+
+
+def explained_variance(values: Tensor, returns: Tensor) -> float:
+    """`1 − Var(returns − values) / Var(returns)`; not a number if the returns do not vary."""
+    variance = returns.var(unbiased=False)
+    return float("nan") if variance == 0 else float(1 - (returns - values).var(unbiased=False) / variance)
+
+
+def ppo_update(
+    agent: ActorCritic,
+    optimizer: torch.optim.Optimizer,
+    rollout: Rollout,
+    config: PPOConfig,
+    generator: torch.Generator,
+) -> PPOStats:
+    """Improve `agent` on one rollout, `config.update_epochs` times through it in shuffled minibatches.
+
+    Args:
+        agent: learns in place.
+        optimizer: over at least the agent's parameters; its learning rate is used as it stands.
+        rollout: T steps of N environments that `agent` made.
+        config: coefficients; `anneal_lr` is the caller's to apply.
+        generator: source of the shuffles and shifts.
+    """
+    advantages = gae(rollout, config.gamma, config.gae_lambda)
+    returns = (advantages + rollout.values).flatten()
+    b_obs = rollout.obs.flatten(0, 1)
+    b_actions, b_logprobs, b_values = rollout.actions.flatten(), rollout.logprobs.flatten(), rollout.values.flatten()
+    b_advantages = advantages.flatten()
+
+    sums, n_minibatches = torch.zeros(5), 0
+    for _epoch in range(config.update_epochs):
+        approx_kl = torch.zeros(())
+        for mb_inds in torch.randperm(len(b_obs), generator=generator).split(config.minibatch_size):
+            prepared = random_shift(agent.encoder.prepare(b_obs[mb_inds]), config.shift_pad, generator)
+            with autocast(config.precision):
+                _, newlogprob, entropy, newvalue = agent.get_action_and_value(prepared, b_actions[mb_inds])
+            logratio = newlogprob - b_logprobs[mb_inds]
+            mb_advantages = b_advantages[mb_inds]
+            if config.norm_adv and len(mb_inds) > 1:
+                mb_advantages = (mb_advantages - mb_advantages.mean()) / (mb_advantages.std() + 1e-8)
+
+            pg_loss = policy_loss(logratio, mb_advantages, config.clip_coef)
+            clip = config.clip_coef if config.clip_vloss else None
+            v_loss = value_loss(newvalue, b_values[mb_inds], returns[mb_inds], clip)
+            entropy_loss = entropy.mean()
+            loss = pg_loss - config.ent_coef * entropy_loss + config.vf_coef * v_loss
+
+            optimizer.zero_grad()
+            loss.backward()
+            nn.utils.clip_grad_norm_(agent.parameters(), config.max_grad_norm)
+            optimizer.step()
+
+            with torch.no_grad():
+                approx_kl = ((logratio.exp() - 1) - logratio).mean()  # http://joschu.net/blog/kl-approx.html
+                clipped = ((logratio.exp() - 1).abs() > config.clip_coef).float().mean()
+                sums += torch.stack([pg_loss, v_loss, entropy_loss, approx_kl, clipped])
+                n_minibatches += 1
+        if config.target_kl is not None and approx_kl > config.target_kl:
+            break
+    means = (sums / n_minibatches).tolist()
+    return PPOStats(*means, explained_variance=explained_variance(b_values, returns))

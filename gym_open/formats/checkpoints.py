@@ -1,0 +1,73 @@
+"""Checkpoints: one safetensors file of named tensors, with the rest as JSON in its header. No pickle, ever."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor
+
+from gym_open.artefacts import write_atomically
+from gym_open.errors import ArtefactError
+
+_META = "gym_open"
+"""The one key of the header's metadata: with several, safetensors would not write them in a fixed order."""
+
+
+def save_checkpoint(path: Path, tensors: dict[str, Tensor], meta: dict[str, Any]) -> None:
+    """Write `tensors` and JSON-ready `meta` to `path`; a reader sees the old checkpoint or the new one.
+
+    Equal contents give equal bytes. Integers in `meta` may be of any size (NumPy's generators hold 128 bits).
+    """
+    # Tensors that share memory (one encoder under two owners) are refused by safetensors: give each its own copy.
+    own = {name: tensor.detach().clone(memory_format=torch.contiguous_format) for name, tensor in tensors.items()}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, save(own, metadata={_META: json.dumps(meta, sort_keys=True)}))
+
+
+def load_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Read what `save_checkpoint` wrote.
+
+    Raises:
+        ArtefactError: if the file is missing, cut, not safetensors, or was not written by gym-open.
+    """
+    try:
+        with safe_open(path, framework="pt") as file:
+            meta = (file.metadata() or {}).get(_META)
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (not a mapping)
+    except FileNotFoundError:
+        raise ArtefactError(f"{path}: no such file") from None
+    except (SafetensorError, OSError) as error:
+        raise ArtefactError(f"{path}: not a whole safetensors file ({error}); remove it and run again") from None
+    if meta is None:
+        raise ArtefactError(f"{path}: header lacks the key {_META!r}, so gym-open did not write it; give another file")
+    return tensors, json.loads(meta)
+
+
+def optimizer_tensors(optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:
+    """All of Adam's state as `<index of the parameter>.<name>`, for example `3.exp_avg`."""
+    state = optimizer.state_dict()["state"]
+    return {f"{index}.{name}": value for index, values in state.items() for name, value in values.items()}
+
+
+def load_optimizer(optimizer: torch.optim.Optimizer, tensors: dict[str, Tensor]) -> None:
+    """Restore Adam's state from what `optimizer_tensors` gave; learning rates stay as they are."""
+    state: dict[int, dict[str, Tensor]] = {}
+    for name, value in tensors.items():
+        index, field = name.split(".", 1)
+        state.setdefault(int(index), {})[field] = value
+    optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
+
+
+def prefixed(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+    """The same tensors, each name behind `prefix/`."""
+    return {f"{prefix}/{name}": tensor for name, tensor in tensors.items()}
+
+
+def without_prefix(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Those tensors whose name is behind `prefix/`, under their name without it."""
+    return {
+        name.removeprefix(f"{prefix}/"): tensor for name, tensor in tensors.items() if name.startswith(f"{prefix}/")
+    }

@@ -1,0 +1,104 @@
+"""Encoders and policies on disk: `model.safetensors` (tensors) beside `model.json` (what they are tensors of)."""
+
+from pathlib import Path
+from typing import Literal, TypeVar
+
+import msgspec
+import torch
+from torch import Tensor, nn
+
+from gym_open.agents.config import EncoderConfig
+from gym_open.agents.encoder import Encoder
+from gym_open.agents.policy import ActorCritic
+from gym_open.artefacts import canonical_json, write_atomically
+from gym_open.errors import ArtefactError
+from gym_open.formats.checkpoints import load_checkpoint, save_checkpoint
+
+WEIGHTS, ARCHITECTURE = "model.safetensors", "model.json"
+
+
+class EncoderArchitecture(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Contents of an encoder's model.json."""
+
+    kind: Literal["encoder"] = "encoder"
+    encoder: EncoderConfig
+
+
+class PolicyArchitecture(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Contents of a policy's model.json."""
+
+    kind: Literal["policy"] = "policy"
+    encoder: EncoderConfig
+    n_actions: int
+
+
+A = TypeVar("A", EncoderArchitecture, PolicyArchitecture)
+
+
+def save_encoder(folder: Path, encoder: Encoder) -> None:
+    """Write an encoder, its mean picture included, into `folder`."""
+    _save(folder, encoder, EncoderArchitecture(encoder=encoder.config))
+
+
+def load_encoder(artefact: Path) -> Encoder:
+    """Read the encoder in the folder `artefact`.
+
+    Raises:
+        ArtefactError: if a file is missing or damaged, or a tensor is not what the architecture says.
+    """
+    encoder = Encoder(read_architecture(artefact, EncoderArchitecture).encoder, torch.Generator())
+    _load_weights(artefact / WEIGHTS, encoder)
+    return encoder
+
+
+def save_policy(folder: Path, policy: ActorCritic) -> None:
+    """Write a policy, its encoder included, into `folder`."""
+    _save(folder, policy, PolicyArchitecture(encoder=policy.encoder.config, n_actions=policy.n_actions))
+
+
+def load_policy(artefact: Path) -> ActorCritic:
+    """Read the policy in the folder `artefact`.
+
+    Raises:
+        ArtefactError: if a file is missing or damaged, or a tensor is not what the architecture says.
+    """
+    found = read_architecture(artefact, PolicyArchitecture)
+    policy = ActorCritic(Encoder(found.encoder, torch.Generator()), found.n_actions, torch.Generator())
+    _load_weights(artefact / WEIGHTS, policy)
+    return policy
+
+
+def read_architecture(artefact: Path, kind: type[A]) -> A:
+    """What model the folder `artefact` holds, without its weights.
+
+    Raises:
+        ArtefactError: if it is missing, damaged, or not of this kind.
+    """
+    path = artefact / ARCHITECTURE
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=kind)
+    except FileNotFoundError:
+        raise ArtefactError(f"{path}: missing, so there is no model here; train one or give its folder") from None
+    except msgspec.DecodeError as error:
+        raise ArtefactError(f"{path}: not an {kind.__name__} as gym-open writes it: {error}") from None
+
+
+def _save(folder: Path, model: nn.Module, architecture: EncoderArchitecture | PolicyArchitecture) -> None:
+    save_checkpoint(folder / WEIGHTS, model.state_dict(), {})
+    write_atomically(folder / ARCHITECTURE, canonical_json(architecture))
+
+
+def _load_weights(path: Path, model: nn.Module) -> None:
+    found, _ = load_checkpoint(path)
+    expected: dict[str, Tensor] = model.state_dict()
+    for name in sorted(expected.keys() | found.keys()):
+        if name not in found:
+            raise ArtefactError(f"{path}: tensor {name!r} is missing; {ARCHITECTURE} does not belong to this file")
+        if name not in expected:
+            raise ArtefactError(f"{path}: tensor {name!r} is unknown; {ARCHITECTURE} does not belong to this file")
+        if found[name].shape != expected[name].shape:
+            raise ArtefactError(
+                f"{path}: tensor {name!r} should have shape {tuple(expected[name].shape)}, "
+                f"got {tuple(found[name].shape)}; {ARCHITECTURE} does not belong to this file"
+            )
+    model.load_state_dict(found)
