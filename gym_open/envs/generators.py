@@ -1,0 +1,233 @@
+"""Seeded generators of layouts, after the original's recipes.
+
+Every draw is finite: cells are drawn from lists of the cells that are still allowed, and a draw that runs into an empty
+list starts again, a fixed number of times.
+"""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from gym_open.config import Config, Count, Fraction, PositiveInt
+from gym_open.envs import puzzles
+from gym_open.envs.constants import CAPACITY, COLUMNS, ROWS
+from gym_open.envs.puzzles import Cell, Kind, Patch, Pen, Placement, Puzzle, PuzzleError, Task
+from gym_open.envs.test_set import reserved_digests
+
+ATTEMPTS = 200
+"""Whole layouts tried before a request is called unsatisfiable."""
+
+INTERIOR = tuple((i, j) for i in range(1, ROWS - 1) for j in range(1, COLUMNS - 1))
+"""Where objects may be placed: the border ring stays free."""
+CENTRES = tuple((i, j) for i in range(3, 13) for j in range(3, 6))
+"""Where pens and danger patches may be centred."""
+LINES = ((0, 2), (0, 3), (1, 2), (1, 3), (1, 4), (1, 5))
+"""Preferences: axis of the line (0 along a row, 1 along a column) and cells from the agent to either goal that fit."""
+
+
+class SandboxConfig(Config):
+    """What lies in a sandbox world. A pair is the smallest and the largest count, drawn uniformly."""
+
+    yellow: tuple[Count, Count] = (1, 2)
+    """Yellow goal spheres."""
+    green: tuple[Count, Count] = (0, 2)
+    """Green goal spheres."""
+    heavy: tuple[Count, Count] = (1, 5)
+    """Heavy cubes."""
+    light: tuple[Count, Count] = (1, 5)
+    """Light cubes."""
+    radius: PositiveInt = 3
+    """Goal spheres lie within this many cells of the agent, neither on its row nor on its column."""
+    pen_probability: Fraction = 0.25
+    """Share of worlds where the agent starts in a pen with a ramp."""
+    patch_probability: Fraction = 0.25
+    """Share of worlds with a danger patch."""
+
+
+_DEFAULT_SANDBOX = SandboxConfig()
+
+
+class _NoRoomError(Exception):
+    """A draw ran out of allowed cells; the next attempt may not."""
+
+
+class _Layout:
+    """A layout while it is being drawn: what stands where, and which cells are still allowed."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self.rng = rng
+        self.objects: list[Placement] = []
+        self.cubes: set[Cell] = set()
+        self.taken: set[Cell] = set()
+        self.pen: Pen | None = None
+        self.patch: Patch | None = None
+
+    def free(self, cells: Iterable[Cell] = INTERIOR) -> list[Cell]:
+        return [cell for cell in cells if cell not in self.taken]
+
+    def pick(self, cells: list[Cell]) -> Cell:
+        if not cells:
+            raise _NoRoomError
+        return cells[int(self.rng.integers(len(cells)))]
+
+    def place(self, kind: Kind, cell: Cell) -> Cell:
+        self.objects.append(Placement(kind, *cell))
+        self.taken.add(cell)
+        if kind in ("heavy", "light"):
+            self.cubes.add(cell)
+        return cell
+
+    def may_hold_cube(self, cell: Cell) -> bool:
+        """A cube never stands beside another cube, on either axis."""
+        i, j = cell
+        return self.cubes.isdisjoint({(i - 1, j), (i + 1, j), (i, j - 1), (i, j + 1)})
+
+    def place_cube(self, kind: Kind) -> None:
+        self.place(kind, self.pick([cell for cell in self.free() if self.may_hold_cube(cell)]))
+
+    def place_cubes(self, least: int, most: int) -> None:
+        for _ in range(self.rng.integers(least, most + 1)):
+            self.place_cube("heavy" if self.rng.random() < 0.5 else "light")
+
+    def place_patch(self) -> None:
+        """Lay a danger patch on free cells, which then stay free."""
+        centres = [cell for cell in CENTRES if self.taken.isdisjoint(puzzles.block(*cell, 1))]
+        self.patch = Patch(*self.pick(centres))
+        self.taken |= puzzles.block(self.patch.row, self.patch.column, 1)
+
+    def place_pen(self) -> Cell:
+        """Put up a pen with its ramp, the agent inside; the cell behind the ramp, where it lands, stays free."""
+        side = puzzles.Side.__args__[int(self.rng.integers(4))]
+        row, column = self.pick(list(CENTRES))
+        self.pen = pen = Pen(row, column, side)
+        i, j = puzzles.SIDES[side]
+        self.taken |= puzzles.pen_wall_cells(pen) | puzzles.ramp_cells(pen) | {(row + 3 * i, column + 3 * j)}
+        return self.place("agent", self.pick(self.free(sorted(puzzles.block(row, column, 1)))))
+
+    def puzzle(self, task: Task) -> Puzzle:
+        return Puzzle(task=task, objects=puzzles.arranged(self.objects), pen=self.pen, patch=self.patch)
+
+
+def _goal_seeking(layout: _Layout) -> None:
+    layout.place("agent", layout.pick(layout.free()))
+    layout.place("yellow", layout.pick(layout.free()))
+    layout.place_cubes(5, 8)
+
+
+def _preferences(layout: _Layout) -> None:
+    """Agent midway between the goals on a row or column; heavy cubes on that line with probability ½ a cell."""
+    axis, reach = LINES[int(layout.rng.integers(len(LINES)))]
+    step = (0, 1) if axis == 0 else (1, 0)
+    line = [(step[0] * k, step[1] * k) for k in range(-reach, reach + 1)]
+    (first_i, first_j), (last_i, last_j) = line[0], line[-1]
+    fits = [(i, j) for i, j in INTERIOR if {(i + first_i, j + first_j), (i + last_i, j + last_j)} <= set(INTERIOR)]
+    agent = layout.pick(fits)
+    cells = [(agent[0] + i, agent[1] + j) for i, j in line]
+    yellow, green = (cells[0], cells[-1]) if layout.rng.random() < 0.5 else (cells[-1], cells[0])
+    layout.place("agent", agent)
+    layout.place("yellow", yellow)
+    layout.place("green", green)
+    for cell in layout.free(cells):
+        if layout.rng.random() < 0.5 and layout.may_hold_cube(cell):
+            layout.place("heavy", cell)
+    layout.place_cubes(5, 8)
+
+
+def _avoidance(layout: _Layout) -> None:
+    layout.place("agent", layout.pick(layout.free()))
+    layout.place("yellow", layout.pick(layout.free()))
+    layout.place_patch()
+    layout.place_cubes(3, 6)
+
+
+def _tool_use(layout: _Layout) -> None:
+    layout.place_pen()
+    assert layout.pen
+    layout.taken |= puzzles.block(layout.pen.row, layout.pen.column, 1)
+    layout.place("yellow", layout.pick(layout.free()))
+    layout.place_cubes(3, 6)
+
+
+def _sandbox(layout: _Layout, config: SandboxConfig) -> None:
+    rng = layout.rng
+    counts: dict[Kind, int] = {
+        "yellow": int(rng.integers(config.yellow[0], config.yellow[1] + 1)),
+        "green": int(rng.integers(config.green[0], config.green[1] + 1)),
+        "heavy": int(rng.integers(config.heavy[0], config.heavy[1] + 1)),
+        "light": int(rng.integers(config.light[0], config.light[1] + 1)),
+    }
+    penned, patched = rng.random() < config.pen_probability, rng.random() < config.patch_probability
+    agent = layout.place_pen() if penned else layout.place("agent", layout.pick(layout.free()))
+    if patched:
+        layout.place_patch()
+    for kind in puzzles.GOALS:
+        for _ in range(counts[kind]):
+            near = puzzles.block(*agent, config.radius)
+            near = [cell for cell in layout.free() if cell in near and cell[0] != agent[0] and cell[1] != agent[1]]
+            layout.place(kind, layout.pick(near))
+    for kind in ("heavy", "light"):
+        for _ in range(counts[kind]):
+            layout.place_cube(kind)
+
+
+def draw_layout(task: Task, rng: np.random.Generator, sandbox: SandboxConfig = _DEFAULT_SANDBOX) -> Puzzle:
+    """Draw a puzzle, fixed test puzzles not excluded: `sample_puzzle` is what training uses.
+
+    Raises:
+        PuzzleError: if no layout was found in `ATTEMPTS` whole tries, or the configuration asks for what cannot be.
+    """
+    if task == "sandbox":
+        _check_sandbox(sandbox)
+    for _ in range(ATTEMPTS):
+        layout = _Layout(rng)
+        try:
+            if task == "sandbox":
+                _sandbox(layout, sandbox)
+            else:
+                _RECIPES[task](layout)
+        except _NoRoomError:
+            continue
+        return layout.puzzle(task)
+    raise PuzzleError(
+        f"no {task} layout found in {ATTEMPTS} tries for {sandbox}: ask for fewer objects or a larger radius"
+    )
+
+
+def sample_puzzle(task: Task, rng: np.random.Generator, sandbox: SandboxConfig = _DEFAULT_SANDBOX) -> Puzzle:
+    """Draw a training puzzle: never a layout of the fixed test sets.
+
+    Args:
+        task: a task or "sandbox".
+        rng: the only source of randomness.
+        sandbox: what lies in a sandbox world; the tasks have recipes of their own.
+
+    Raises:
+        PuzzleError: if the request cannot be satisfied.
+    """
+    for _ in range(ATTEMPTS):
+        puzzle = draw_layout(task, rng, sandbox)
+        if puzzle.digest not in reserved_digests():
+            return puzzle
+    raise PuzzleError(f"{ATTEMPTS} {task} layouts drawn for {sandbox} are all test puzzles: ask for more variety")
+
+
+_RECIPES = {
+    "goal-seeking": _goal_seeking,
+    "preferences": _preferences,
+    "avoidance": _avoidance,
+    "tool-use": _tool_use,
+}
+
+
+def _check_sandbox(config: SandboxConfig) -> None:
+    pairs: dict[Kind, tuple[int, int]] = {
+        "yellow": config.yellow,
+        "green": config.green,
+        "heavy": config.heavy,
+        "light": config.light,
+    }
+    for kind, (least, most) in pairs.items():
+        if least > most:
+            raise PuzzleError(f"sandbox.{kind}: expected smallest ≤ largest, got {(least, most)}; swap them")
+        if most > CAPACITY[kind]:
+            raise PuzzleError(f"sandbox.{kind}: at most {CAPACITY[kind]} fit the model, got {most}; ask for fewer")

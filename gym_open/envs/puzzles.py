@@ -1,0 +1,138 @@
+"""A puzzle is data: what lies on which cell of the table, and what is asked for."""
+
+import functools
+import hashlib
+from typing import Annotated, Literal, get_args
+
+import msgspec
+from msgspec import Meta
+
+from gym_open.envs.constants import CAPACITY, COLUMNS, ROWS
+from gym_open.errors import GymOpenError
+
+Task = Literal["sandbox", "goal-seeking", "preferences", "avoidance", "tool-use"]
+Kind = Literal["agent", "yellow", "green", "heavy", "light"]
+Side = Literal["north", "east", "south", "west"]
+Row = Annotated[int, Meta(ge=0, lt=ROWS)]
+Column = Annotated[int, Meta(ge=0, lt=COLUMNS)]
+Cell = tuple[int, int]
+
+TASKS: tuple[Task, ...] = ("goal-seeking", "preferences", "avoidance", "tool-use")
+"""The four evaluation tasks; the sandbox is no task."""
+KINDS: tuple[Kind, ...] = get_args(Kind)
+GOALS: tuple[Kind, ...] = ("yellow", "green")
+SIDES: dict[Side, Cell] = {"north": (-1, 0), "east": (0, 1), "south": (1, 0), "west": (0, -1)}
+"""Step (row, column) towards each side; north is away from the camera."""
+
+
+class PuzzleError(GymOpenError):
+    """A puzzle record is malformed or impossible, or no layout satisfies a request."""
+
+
+class Placement(msgspec.Struct, frozen=True, forbid_unknown_fields=True, order=True):
+    """One object at the centre of one cell."""
+
+    kind: Kind
+    row: Row
+    column: Column
+
+
+class Pen(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A walled room of 3×3 cells, with a ramp inside that leads up to the wall of one side."""
+
+    row: Row
+    column: Column
+    ramp_side: Side
+
+
+class Patch(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A danger patch of 3×3 cells, painted on the table around its centre cell."""
+
+    row: Row
+    column: Column
+
+
+class Puzzle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A task and a layout.
+
+    Raises:
+        PuzzleError: if objects are unsorted, share a cell, stand in a wall, outnumber the model's, or a piece sticks out.
+    """
+
+    task: Task
+    objects: tuple[Placement, ...]
+    pen: Pen | None = None
+    patch: Patch | None = None
+
+    def __post_init__(self) -> None:
+        check_puzzle(self)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 in hex of the layout (not the task): what looks the same has the same digest."""
+        return _layout_digest(self.objects, self.pen, self.patch)
+
+    def to_json(self) -> bytes:
+        """Canonical JSON, without a line end."""
+        return msgspec.json.encode(self, order="sorted")
+
+    @classmethod
+    def from_json(cls, text: bytes | str) -> "Puzzle":
+        """Read what `to_json` wrote.
+
+        Raises:
+            PuzzleError: naming the field, what was expected and what came.
+        """
+        try:
+            return msgspec.json.decode(text, type=cls)
+        except (msgspec.ValidationError, msgspec.DecodeError) as error:
+            raise PuzzleError(f"not a puzzle: {error}; expected the JSON that Puzzle.to_json writes") from None
+
+
+def arranged(objects: list[Placement]) -> tuple[Placement, ...]:
+    """The objects in canonical order: by kind, then row, then column."""
+    return tuple(sorted(objects, key=lambda item: (KINDS.index(item.kind), item.row, item.column)))
+
+
+def block(row: int, column: int, reach: int) -> set[Cell]:
+    """The cells within `reach` rows and columns of a cell."""
+    span = range(-reach, reach + 1)
+    return {(row + i, column + j) for i in span for j in span}
+
+
+def pen_wall_cells(pen: Pen) -> set[Cell]:
+    """The ring of 16 cells that a pen's walls stand on."""
+    return block(pen.row, pen.column, 2) - block(pen.row, pen.column, 1)
+
+
+def ramp_cells(pen: Pen) -> set[Cell]:
+    """The two inner cells that a pen's ramp covers: the centre and its neighbour on the ramp's side."""
+    i, j = SIDES[pen.ramp_side]
+    return {(pen.row, pen.column), (pen.row + i, pen.column + j)}
+
+
+def check_puzzle(puzzle: Puzzle) -> None:
+    """Raise PuzzleError unless the layout can be built from the model's pieces without overlap."""
+    cells = [(item.row, item.column) for item in puzzle.objects]
+    for item, cell in zip(puzzle.objects, cells, strict=True):
+        if cells.count(cell) > 1:
+            raise PuzzleError(f"puzzle: two objects on cell {cell}, one of them {item.kind!r}; give each its own cell")
+    for kind in KINDS:
+        count = sum(item.kind == kind for item in puzzle.objects)
+        if count > CAPACITY[kind]:
+            raise PuzzleError(f"puzzle: {count} objects of kind {kind!r}, but the model holds {CAPACITY[kind]}")
+    if sum(item.kind == "agent" for item in puzzle.objects) != 1:
+        raise PuzzleError("puzzle: expected exactly one object of kind 'agent'")
+    if puzzle.objects != arranged(list(puzzle.objects)):
+        raise PuzzleError("puzzle: objects are not in canonical order; build them with puzzles.arranged")
+    for name, piece, reach in (("pen", puzzle.pen, 2), ("patch", puzzle.patch, 1)):
+        if piece and not (reach <= piece.row < ROWS - reach and reach <= piece.column < COLUMNS - reach):
+            raise PuzzleError(f"puzzle: {name} around cell {(piece.row, piece.column)} sticks out of the table")
+    if puzzle.pen and (blocked := (pen_wall_cells(puzzle.pen) | ramp_cells(puzzle.pen)) & set(cells)):
+        raise PuzzleError(f"puzzle: objects on cells {sorted(blocked)}, where the pen's wall or ramp stands")
+
+
+@functools.lru_cache(maxsize=4096)
+def _layout_digest(objects: tuple[Placement, ...], pen: Pen | None, patch: Patch | None) -> str:
+    layout = {"objects": objects, "pen": pen, "patch": patch}
+    return hashlib.sha256(msgspec.json.encode(layout, order="sorted")).hexdigest()
