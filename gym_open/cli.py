@@ -237,7 +237,9 @@ class Viz(StageCommand):
         from gym_open.viz.recording import visualize
 
         path = visualize(self.settings, self.source, self.save)
-        out.print(f"[bold green]made[/] {short(path)}  ({path.stat().st_size / 1e6:.1f} MB)\n  next: rerun {short(path)}")
+        out.print(
+            f"[bold green]made[/] {short(path)}  ({path.stat().st_size / 1e6:.1f} MB)\n  next: rerun {short(path)}"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -135,9 +135,7 @@ def _learn_the_task(
     from gym_open.train.policy import train_policy
     from gym_open.train.probe import probe
 
-    probed = journal.stage(
-        "train probe", lambda: probe(plan.probe, encoder, root / f"train/probes/curl-seed{seed}")
-    )
+    probed = journal.stage("train probe", lambda: probe(plan.probe, encoder, root / f"train/probes/curl-seed{seed}"))
     task = plan.policy.task
     policies: dict[str, Path | None] = {}
     for name, start in (("from CURL encoder", encoder), ("from scratch", None)):

@@ -41,8 +41,8 @@ def init(target: Path) -> list[Path]:
     for stage in STAGES:
         (target / stage).mkdir(parents=True)
         source = template() / stage
-        for item in sorted([*source.glob("*.toml"), *source.glob("README.md")]):
-            written.append(Path(shutil.copyfile(item, target / stage / item.name)))
+        items = sorted([*source.glob("*.toml"), *source.glob("README.md")])
+        written.extend(Path(shutil.copyfile(item, target / stage / item.name)) for item in items)
     ignore = target / ".gitignore"
     if not ignore.exists():
         ignore.write_text("".join(f"/{name}\n" for name in IGNORED) + ".*.partial*/\n.*.lock\n", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Scores of the paper: mean return within a number of actions, and A-Success (Section V-A of the paper; PHYRE's AUCCESS)."""
+"""Scores of the paper (section "Evaluation metrics"): mean return within i actions, and A-Success (PHYRE's AUCCESS)."""
 
 import numpy as np
 from numpy.typing import ArrayLike

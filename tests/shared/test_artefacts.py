@@ -1,0 +1,165 @@
+"""Artefacts: whole or absent, byte-checked, reproducible anywhere, resumable."""
+
+import fcntl
+import hashlib
+import json
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gym_open import artefacts
+from gym_open.config import Config
+from gym_open.errors import ArtefactError, UsageError
+
+
+class Toy(Config):
+    n: int = 3
+
+
+def _make(out: Path, config: Toy | None = None, parents: tuple[Path, ...] = ()) -> artefacts.Outcome:
+    config = config or Toy()
+
+    def work(partial: Path) -> Mapping[str, Any]:
+        (partial / "data").mkdir()
+        (partial / "data" / "numbers.txt").write_text(" ".join(map(str, range(config.n))))
+        return {"n": config.n}
+
+    return artefacts.build(out, kind="toy", config=config, parents=parents, work=work)
+
+
+def test_made_once_then_up_to_date_then_made_again_when_an_input_changes(tmp_path: Path) -> None:
+    out = tmp_path / "a"
+    assert _make(out).made
+    assert not _make(out).made
+    assert _make(out, Toy(n=4)).made
+    assert (out / "data" / "numbers.txt").read_text() == "0 1 2 3"
+
+
+def test_the_digest_does_not_depend_on_the_place(tmp_path: Path) -> None:
+    _make(tmp_path / "here" / "a")
+    _make(tmp_path / "elsewhere" / "deep" / "b")
+    assert artefacts.digest(tmp_path / "here" / "a") == artefacts.digest(tmp_path / "elsewhere" / "deep" / "b")
+
+
+def test_the_manifest_lists_the_sha256_of_every_other_file(tmp_path: Path) -> None:
+    out = _make(tmp_path / "a").path
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert set(manifest) == {"config.json", "lineage.json", "data/numbers.txt"}
+    for name, entry in manifest.items():
+        assert hashlib.sha256((out / name).read_bytes()).hexdigest() == entry["sha256"]
+    assert artefacts.digest(out) == hashlib.sha256((out / "manifest.json").read_bytes()).hexdigest()
+
+
+def test_every_flipped_bit_position_of_every_file_is_found(tmp_path: Path) -> None:
+    out = _make(tmp_path / "a").path
+    for path in [p for p in out.rglob("*") if p.is_file() and p.name != "manifest.json"]:
+        good = path.read_bytes()
+        for position in range(0, len(good), max(1, len(good) // 7)):
+            bad = bytearray(good)
+            bad[position] ^= 1
+            path.write_bytes(bytes(bad))
+            with pytest.raises(ArtefactError, match=path.name):
+                artefacts.verify(out)
+        path.write_bytes(good)
+    artefacts.verify(out)
+
+
+def test_missing_extra_and_linked_files_are_found(tmp_path: Path) -> None:
+    out = _make(tmp_path / "a").path
+    (out / "stray").write_text("x")
+    with pytest.raises(ArtefactError, match="stray: not listed"):
+        artefacts.verify(out)
+    (out / "stray").unlink()
+    (out / "link").symlink_to(out / "config.json")
+    with pytest.raises(ArtefactError, match="links"):
+        artefacts.verify(out)
+    (out / "link").unlink()
+    (out / "data" / "numbers.txt").unlink()
+    with pytest.raises(ArtefactError, match=r"numbers\.txt: missing"):
+        artefacts.verify(out)
+
+
+def test_a_damaged_parent_is_refused_and_nothing_is_written(tmp_path: Path) -> None:
+    parent = _make(tmp_path / "parent").path
+    (parent / "data" / "numbers.txt").write_text("9 9 9")
+    with pytest.raises(ArtefactError, match=r"numbers\.txt"):
+        _make(tmp_path / "child", parents=(parent,))
+    assert not (tmp_path / "child").exists()
+
+
+def test_a_missing_parent_and_a_wrong_kind_are_named(tmp_path: Path) -> None:
+    with pytest.raises(ArtefactError, match="nowhere: not an artefact"):
+        _make(tmp_path / "child", parents=(tmp_path / "nowhere",))
+    with pytest.raises(ArtefactError, match="expected an artefact of kind 'log', got 'toy'"):
+        artefacts.verify(_make(tmp_path / "a").path, "log")
+
+
+def test_a_folder_that_is_no_artefact_is_never_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.txt").write_text("years")
+    with pytest.raises(ArtefactError, match="not an artefact"):
+        _make(tmp_path / "mine")
+    assert (tmp_path / "mine" / "thesis.txt").read_text() == "years"
+
+
+def test_work_that_fails_leaves_no_artefact_and_the_next_call_goes_on_from_its_files(tmp_path: Path) -> None:
+    seen: list[bool] = []
+
+    def work(partial: Path) -> Mapping[str, Any]:
+        seen.append((partial / "first").exists())
+        (partial / "first").write_text("1")
+        if len(seen) == 1:
+            raise RuntimeError("killed")
+        return {}
+
+    def call() -> artefacts.Outcome:
+        return artefacts.build(tmp_path / "a", kind="toy", config=Toy(), parents=(), work=work)
+
+    with pytest.raises(RuntimeError, match="killed"):
+        call()
+    assert not (tmp_path / "a").exists()
+    assert call().made
+    assert seen == [False, True]
+    assert not (tmp_path / "a" / artefacts.SCRATCH).exists()
+
+
+def test_unfinished_work_of_other_inputs_is_set_aside_not_lost(tmp_path: Path) -> None:
+    def fail(partial: Path) -> Mapping[str, Any]:
+        (partial / "precious").write_text("hours")
+        raise RuntimeError("killed")
+
+    with pytest.raises(RuntimeError):
+        artefacts.build(tmp_path / "a", kind="toy", config=Toy(), parents=(), work=fail)
+    _make(tmp_path / "a", Toy(n=5))
+    assert [p.read_text() for p in tmp_path.glob(".a.partial-*/precious")] == ["hours"]
+
+
+def test_two_writers_of_the_same_artefact_are_refused(tmp_path: Path) -> None:
+    with (tmp_path / ".a.lock").open("w") as held:  # a lock belongs to an open file: this stands for another process
+        fcntl.flock(held, fcntl.LOCK_EX)
+        with pytest.raises(UsageError, match="another gym-open process"):
+            _make(tmp_path / "a")
+    assert _make(tmp_path / "a").made
+
+
+def test_a_parents_records_prove_themselves_and_a_forged_one_does_not(tmp_path: Path) -> None:
+    child = _make(tmp_path / "child", parents=(_make(tmp_path / "parent").path,)).path
+    (parent,) = artefacts.lineage(child).parents
+    assert parent.is_consistent()
+    record = json.loads((child / "lineage.json").read_text())
+    record["parents"][0]["lineage"]["facts"]["n"] = 99
+    (child / "lineage.json").write_bytes(artefacts.canonical_json(record))
+    (forged,) = artefacts.lineage(child).parents
+    assert not forged.is_consistent()
+
+
+def test_no_place_or_time_in_the_records(tmp_path: Path) -> None:
+    out = _make(tmp_path / "a").path
+    records = b"".join((out / name).read_bytes() for name in ("config.json", "lineage.json", "manifest.json"))
+    assert str(tmp_path).encode() not in records
+    shutil.rmtree(out)
+    again = _make(tmp_path / "a").path
+    assert records == b"".join((again / name).read_bytes() for name in ("config.json", "lineage.json", "manifest.json"))
