@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from gym_open.evaluate import a_success, mean_return_within
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+
+from gym_open.evaluate import a_success, mean_return_within
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,93 @@
+"""The command line: help with an example everywhere, wrong use refused by name, exit codes."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from gym_open import workspace
+from gym_open.cli import COMMANDS, main
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    workspace.init(tmp_path / "w")
+    return tmp_path / "w"
+
+
+def test_the_overview_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help"]) == 0
+    shown = capsys.readouterr().out
+    assert all(name in shown for name in COMMANDS)
+    assert "example: gym-open run" in shown
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_shows_an_example_that_is_this_command(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main([*name.split(), "--help"])
+    assert caught.value.code == 0
+    assert f"Example: gym-open {name}" in " ".join(capsys.readouterr().out.replace("│", " ").split())
+
+
+def test_help_imports_none_of_the_slow_libraries() -> None:
+    code = (
+        "import sys; from gym_open.cli import main; main(['--help']);"
+        "print([m for m in ('torch', 'mujoco', 'lerobot', 'rerun', 'numba', 'pandas') if m in sys.modules])"
+    )
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert shown.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["fly"], "no command 'fly'; see gym-open --help"),
+        (["build"], "did you mean `gym-open dataset build`?"),
+        (["train"], "did you mean `gym-open train encoder`"),
+        (["collect", "--workspace", "WORKSPACE", "--steps", "-5"], "key `steps`"),
+        (["collect", "--workspace", "nowhere"], "no such configuration file"),
+        (["run", "--workspace", "nowhere"], "not a workspace"),
+        (["run", "--workspace", "WORKSPACE", "--seed", "-1"], "key `seed`"),
+    ],
+)
+def test_wrong_use_ends_with_2_and_says_why(
+    words: list[str], said: str, root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([word.replace("WORKSPACE", str(root)) for word in words]) == 2
+    assert said in " ".join(capsys.readouterr().err.split())
+
+
+def test_an_unknown_option_ends_with_2_and_a_suggestion(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["collect", "--workspace", str(root), "--stepz", "5"])
+    assert caught.value.code == 2
+    assert "--steps" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("file", ["encoder-curl.toml", "probe.toml", "policy-goal-seeking.toml"])
+def test_a_misspelt_key_in_a_file_stops_the_run_before_it_starts(
+    file: str, root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = root / "train" / file
+    path.write_text("sead = 3\n" + path.read_text())
+    assert main(["run", "--workspace", str(root)]) == 2
+    assert f"{path}: unknown key `sead`" in capsys.readouterr().err
+    assert not list(root.glob("*/*/"))
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["dataset", "build", "--logs", "nowhere"], "nowhere: not an artefact"),
+        (["train", "encoder", "--release", "nowhere"], "nowhere: not an artefact"),
+        (["train", "policy", "--encoder", "nowhere"], "nowhere: not an artefact"),
+        (["evaluate", "--policy", "nowhere"], "nowhere: not an artefact"),
+    ],
+)
+def test_a_missing_input_ends_with_1_and_leaves_nothing(
+    words: list[str], said: str, root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*words, "--workspace", str(root)]) == 1
+    assert said in " ".join(capsys.readouterr().err.split())
+    assert not list(root.glob("*/*/*"))
