@@ -1,0 +1,71 @@
+"""Configurations of `gym-open train encoder`, `train policy` and `train probe`."""
+
+from typing import Literal
+
+from gym_open.agents.config import CurlConfig, EncoderConfig, PPOConfig, Precision
+from gym_open.config import Config, PositiveFloat, PositiveInt, Seed
+
+
+class EncoderTrainConfig(Config, frozen=True, kw_only=True):
+    """CURL from a release, off-line."""
+
+    updates: PositiveInt = 600
+    """Gradient steps."""
+    batch_size: PositiveInt = 128
+    """Pictures a gradient step; all others of a batch are the negatives of each."""
+    learning_rate: PositiveFloat = 1e-3
+    """Adam's step size."""
+    report_every: PositiveInt = 50
+    """Updates between two rows of the learning curve; a killed run goes on from the last of them."""
+    encoder: EncoderConfig = EncoderConfig()
+    """The network."""
+    curl: CurlConfig = CurlConfig()
+    """The contrastive loss."""
+    precision: Precision = "bf16"
+    """Arithmetic of the network: bf16 is the faster on CPUs that have it, weights stay fp32."""
+    threads: PositiveInt = 2
+    """Torch threads; part of the configuration because the number of threads may change the last bits."""
+    seed: Seed = 0
+    """Root seed."""
+
+
+class PolicyTrainConfig(Config, frozen=True, kw_only=True):
+    """PPO on one task, puzzles drawn from its training distribution."""
+
+    task: Literal["goal-seeking", "preferences", "avoidance", "tool-use"] = "goal-seeking"
+    """What is to be learned."""
+    steps: PositiveInt = 40_960
+    """Agent steps over all environments, rounded up to whole rollouts."""
+    num_envs: PositiveInt = 32
+    """Environments side by side."""
+    num_steps: PositiveInt = 128
+    """Steps of each environment in a rollout."""
+    mean_images: PositiveInt = 1000
+    """From scratch, the pictures of so many puzzles make the mean picture; an encoder brings its own."""
+    encoder: EncoderConfig = EncoderConfig()
+    """The network; must be that of the encoder that training starts from, if any."""
+    ppo: PPOConfig = PPOConfig()
+    """The learner."""
+    threads: PositiveInt = 2
+    """Torch threads; part of the configuration because the number of threads may change the last bits."""
+    seed: Seed = 0
+    """Root seed."""
+
+
+class ProbeConfig(Config, frozen=True, kw_only=True):
+    """Linear probe of an encoder's features: where are the agent and the goals?"""
+
+    train_worlds: PositiveInt = 2000
+    """Worlds that the linear map is fitted to, one picture each."""
+    validation_worlds: PositiveInt = 500
+    """Worlds that choose the strength of its regularisation."""
+    test_worlds: PositiveInt = 1000
+    """Worlds that score it."""
+    ridge: tuple[PositiveFloat, ...] = (1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0)
+    """Strengths to choose from: the penalty on squared weights, where features have mean square length 1."""
+    pixels: bool = False
+    """Probe the centred pixels themselves as well."""
+    threads: PositiveInt = 2
+    """Torch threads; part of the configuration because the number of threads may change the last bits."""
+    seed: Seed = 0
+    """Root seed."""
