@@ -1,0 +1,81 @@
+"""What a frame of a release holds: LeRobot features, and the Arrow schema that carries them."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import msgspec
+import pyarrow as pa
+
+from gym_open.envs.constants import CONTROL_DT_S, IMAGE_SIZE, N_ACTIONS
+from gym_open.formats.releases import IMAGE
+
+STATE_FIELDS = ("x", "y", "z", "qw", "qx", "qy", "qz", "vx", "vy", "vz", "wx", "wy", "wz")
+"""Position (m), quaternion, linear velocity (m/s), angular velocity (rad/s) of one object, in the world frame."""
+ACTION_NAMES = ("stay", "east", "northeast", "north", "northwest", "west", "southwest", "south", "southeast")
+"""Of `envs.constants.MOVES`; north is away from the camera."""
+
+Features = dict[str, dict[str, Any]]
+
+
+def fps() -> int | float:
+    """Steps a simulated second; an int where it is one, as LeRobot likes it."""
+    rate = round(1 / CONTROL_DT_S, 9)
+    return int(rate) if rate == int(rate) else rate
+
+
+def features(object_names: Sequence[str]) -> Features:
+    """LeRobot's description of every feature, for a model whose movable objects are `object_names`."""
+    scalars = {
+        "action.index": "int64",
+        "reward.intrinsic": "float32",
+        "world_model.loss": "float32",
+        "policy.entropy": "float32",
+        "policy.value": "float32",
+        "contact.count": "int64",
+        "contact.agent": "int64",
+        "contact.impulse": "float32",
+        "next.reward": "float32",
+        "next.done": "bool",
+        "next.truncated": "bool",
+        "transition.valid": "bool",
+        "timestamp": "float32",
+        "frame_index": "int64",
+        "episode_index": "int64",
+        "index": "int64",
+        "task_index": "int64",
+    }
+    names = [f"{name}.{field}" for name in object_names for field in STATE_FIELDS]
+    return {
+        IMAGE: {"dtype": "image", "shape": [IMAGE_SIZE, IMAGE_SIZE, 3], "names": ["height", "width", "channels"]},
+        "observation.state": _vector(STATE_FIELDS),
+        "observation.environment_state": _vector(names),
+        "action": _vector(ACTION_NAMES),
+        **{name: {"dtype": dtype, "shape": [1], "names": None} for name, dtype in scalars.items()},
+    }
+
+
+def _vector(names: Sequence[str]) -> dict[str, Any]:
+    return {"dtype": "float32", "shape": [len(names)], "names": list(names)}
+
+
+def schema(described: Features) -> pa.Schema:
+    """Arrow schema of the data files.
+
+    Its metadata lets Hugging Face's `datasets` decode pictures. It holds no fingerprint: that would depend on the path.
+    """
+    assert len(ACTION_NAMES) == N_ACTIONS
+    fields, hub = [], {}
+    for name, feature in described.items():
+        if feature["dtype"] == "image":
+            fields.append(pa.field(name, pa.struct([("bytes", pa.binary()), ("path", pa.string())])))
+            hub[name] = {"_type": "Image"}
+            continue
+        kind, value = pa.type_for_alias(feature["dtype"]), {"dtype": feature["dtype"], "_type": "Value"}
+        if feature["shape"] == [1]:
+            fields.append(pa.field(name, kind))
+            hub[name] = value
+        else:
+            length = feature["shape"][0]
+            fields.append(pa.field(name, pa.list_(kind, length)))
+            hub[name] = {"feature": value, "length": length, "_type": "List"}
+    return pa.schema(fields, metadata={"huggingface": msgspec.json.encode({"info": {"features": hub}})})

@@ -1,0 +1,78 @@
+"""A small hand-made log artefact, for whatever reads logs: pictures and figures are drawn at random, not simulated."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gym_open import artefacts
+from gym_open.config import Config
+
+Lengths = tuple[tuple[int, ...], ...]
+MakeLog = Callable[..., Path]
+
+
+class LogRecipe(Config, frozen=True):
+    """Stands for the configuration of the play that would have made the log."""
+
+    lengths: Lengths
+    seed: int
+    loss_threshold: float = 0.001
+
+
+def write_log(folder: Path, recipe: LogRecipe) -> dict[str, Any]:
+    """One stream for each tuple of `recipe.lengths`: the steps of its segments, in worlds 0, 1, 2, 0, 1, …"""
+    from gym_open.envs.generators import sample_puzzle
+    from gym_open.envs.model import INVENTORY
+    from gym_open.envs.world import Contact
+    from gym_open.formats.logs import LogHead, LogWriter, SegmentStart, StepRecord, Switch
+
+    rng = np.random.default_rng(recipe.seed)
+    puzzles = tuple(sample_puzzle("sandbox", rng) for _ in range(3))
+    config = {"curriculum": {"loss_threshold": recipe.loss_threshold}, "seed": recipe.seed}
+
+    def picture() -> np.ndarray:
+        return rng.integers(0, 256, (84, 84, 3), dtype=np.uint8)
+
+    def state() -> np.ndarray:
+        return rng.normal(size=(len(INVENTORY), 13))
+
+    for stream, lengths in enumerate(recipe.lengths):
+        head = LogHead(stream, config, puzzles, {"code": "test"}, "<mujoco/>")
+        with LogWriter(folder / f"stream-{stream:03d}.mcap", head) as log:
+            log.switch(Switch(0, -1, 0, "start", [np.inf] * 3))
+            step = 0
+            for index, length in enumerate(lengths):
+                world, last = index % 3, index + 1 == len(lengths)
+                start = SegmentStart(
+                    index, step, world, puzzles[world], index >= 3, INVENTORY, state(), rng.normal(size=5), picture()
+                )
+                log.segment(start)
+                for i in range(length):
+                    touch = Contact("agent", "heavy_0", (0.1, 0.2, 0.3), (1.0, 0.0, 0.0), 2.5)
+                    contacts = (touch, Contact("light_0", "heavy_0", (0, 0, 0), (0, 0, 1), 1.0))[: step % 3]
+                    r, loss, entropy, value = rng.uniform(0.1, 1, size=4).tolist()
+                    action = int(rng.integers(9))
+                    log.step(StepRecord(step, index, i, action, state(), contacts, r, loss, entropy, value, picture()))
+                    step += 1
+                target = -1 if last else (index + 1) % 3
+                log.switch(Switch(step, world, target, "budget" if last else "learned", [0.5, np.inf, 0.25]))
+    return {"task": "sandbox", "steps": sum(map(sum, recipe.lengths)), "puzzles": sorted(p.digest for p in puzzles)}
+
+
+@pytest.fixture(scope="session")
+def make_log(tmp_path_factory: pytest.TempPathFactory) -> MakeLog:
+    """`make_log(lengths=((5, 7), (4,)), seed=0)` gives the folder of a fresh log artefact."""
+
+    def make(lengths: Lengths = ((5, 12, 3, 4), (6,)), seed: int = 0) -> Path:
+        recipe = LogRecipe(lengths=lengths, seed=seed)
+
+        def work(folder: Path) -> Mapping[str, Any]:
+            return write_log(folder, recipe)
+
+        out = tmp_path_factory.mktemp("log") / "log"
+        return artefacts.build(out, kind="log", config=recipe, parents=[], work=work).path
+
+    return make

@@ -1,0 +1,235 @@
+"""A release holds what the logs hold, to the bit; LeRobot, pandas and our reader agree on it."""
+
+import json
+import os
+import subprocess
+import sys
+import textwrap
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from gym_open import artefacts
+from gym_open.datasets import Release, open_release
+from gym_open.datasets.build import build_release
+from gym_open.datasets.config import ReleaseConfig
+from gym_open.errors import ArtefactError
+from gym_open.formats.logs import Segment, log_files, open_log
+
+MakeLog = Callable[..., Path]
+CONFIG = ReleaseConfig(max_episode_steps=5, val_fraction=0.34)
+
+
+@pytest.fixture(scope="module")
+def log(make_log: MakeLog) -> Path:
+    return make_log()
+
+
+@pytest.fixture(scope="module")
+def release(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Release:
+    return open_release(build_release(CONFIG, log, tmp_path_factory.mktemp("release") / "release").path)
+
+
+def segments(log: Path) -> dict[tuple[int, int], Segment]:
+    return {(item.stream, item.index): item for path in log_files(log) for item in open_log(path).segments()}
+
+
+def episodes(release: Release) -> list[dict[str, Any]]:
+    return release.episodes.to_dict("records")
+
+
+def test_every_frame_is_the_logs(log: Path, release: Release) -> None:
+    expected, seen = segments(log), set()
+    valid, actions = release.column("transition.valid"), release.column("action.index")
+    one_hot, everything = release.column("action"), release.column("observation.environment_state")
+    for row in episodes(release):
+        segment = expected[row["stream"], row["segment"]]
+        first = row["first_step"] - segment.first_step
+        frames = np.arange(row["dataset_from_index"], row["dataset_to_index"])
+        assert np.array_equal(release.images(frames), segment.images[first : first + len(frames)])
+        assert valid[frames].tolist() == [True] * row["steps"] + [False]
+        played = segment.actions[first : first + row["steps"]]
+        assert np.array_equal(actions[frames[:-1]], played)
+        assert np.array_equal(one_hot[frames[:-1]].argmax(axis=1), played)
+        assert one_hot[frames].sum(axis=1).tolist() == [1.0] * row["steps"] + [0.0]
+        state = segment.object_state[first : first + len(frames)].astype(np.float32)
+        assert np.array_equal(everything[frames], state.reshape(len(frames), -1))
+        assert np.array_equal(release.column("observation.state")[frames], state[:, 0])
+        for name, values in (
+            ("reward.intrinsic", segment.intrinsic_reward),
+            ("world_model.loss", segment.world_model_loss),
+            ("policy.entropy", segment.policy_entropy),
+            ("policy.value", segment.value),
+        ):
+            assert np.array_equal(
+                release.column(name)[frames[:-1]], values[first : first + row["steps"]].astype(np.float32)
+            )
+        counts = [len(contacts) for contacts in segment.contacts[first : first + row["steps"]]]
+        assert release.column("contact.count")[frames].tolist() == [*counts, 0]
+        seen.update((row["stream"], row["segment"], first + i) for i in range(row["steps"]))
+    assert seen == {(*key, i) for key, segment in expected.items() for i in range(len(segment.actions))}
+
+
+def test_episodes_say_how_they_begin_and_end(log: Path, release: Release) -> None:
+    states = release.table("segments").set_index(["stream", "segment"])["integration_state"]
+    for key, segment in segments(log).items():
+        rows = [row for row in episodes(release) if (row["stream"], row["segment"]) == key]
+        assert sum(row["steps"] for row in rows) == len(segment.actions)
+        assert [row["piece"] for row in rows] == list(range(len(rows)))
+        assert [row["ended"] for row in rows] == ["length_cap"] * (len(rows) - 1) + [segment.ended]
+        assert [row["continued"] for row in rows] == [segment.continued] + [True] * (len(rows) - 1)
+        assert {row["puzzle"] for row in rows} == {segment.puzzle.digest}
+        assert np.array_equal(states[key], segment.integration_state)
+
+
+def test_nothing_terminates_and_ends_are_truncated(release: Release) -> None:
+    frames = release.frames
+    assert not release.column("next.done").any()
+    assert not release.column("next.reward").any()
+    for _, episode in frames.groupby("episode_index"):
+        steps = len(episode) - 1
+        assert episode["next.truncated"].tolist() == [False] * (steps - 1) + [True, True]
+        assert np.allclose(episode["timestamp"], np.arange(steps + 1) * 0.04)
+
+
+def test_splits_share_no_world(release: Release) -> None:
+    rows = episodes(release)
+    worlds = {name: {row["puzzle"] for row in rows if row["split"] == name} for name in ("train", "val")}
+    assert len(worlds["val"]) == 1
+    assert not worlds["train"] & worlds["val"]
+    frames = np.concatenate([release.split("train"), release.split("val")])
+    assert frames.tolist() == list(range(len(release)))
+    assert {rows[i]["split"] for i in release.column("episode_index")[release.split("val")]} == {"val"}
+    assert release.split("test").size == 0
+
+
+def test_statistics_are_numpys(release: Release) -> None:
+    stats = json.loads((release.root / "meta/stats.json").read_text())
+    assert set(stats) == set(release.info["features"])
+    for name, entry in stats.items():
+        if name == "observation.image":
+            values = release.images(range(len(release))).reshape(-1, 3) / 255
+        else:
+            values = release.column(name).astype(np.float64).reshape(len(release), -1)
+        for statistic in ("min", "max", "mean", "std"):
+            expected = getattr(np, statistic)(values, axis=0)
+            assert np.allclose(np.ravel(entry[statistic]), expected, rtol=1e-9, atol=1e-12), (name, statistic)
+        assert entry["count"] == [len(release)]
+
+
+def test_pandas_reads_it(release: Release) -> None:
+    table = pd.read_parquet(release.root / "data")
+    assert table.shape[0] == len(release)
+    assert list(table["index"]) == list(range(len(release)))
+    assert table["observation.image"].iloc[0]["bytes"] == release.pngs([0])[0]
+    assert np.stack(table["action"].to_list()).shape == (len(release), 9)
+
+
+LEROBOT = """
+import os, sys
+import numpy as np
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+root, out = sys.argv[1:]
+dataset = LeRobotDataset("open/explore-mini", root=root)
+window = LeRobotDataset(
+    "open/explore-mini", root=root, delta_timestamps={"observation.image": [-0.04, 0.0, 0.04], "action": [0.0, 0.04]}
+)
+items = [dataset[i] for i in range(len(dataset))]
+np.savez(
+    out,
+    image=np.stack([item["observation.image"].numpy() for item in items]),
+    action=np.stack([item["action"].numpy() for item in items]),
+    truncated=np.array([bool(item["next.truncated"]) for item in items]),
+    episode=np.array([int(item["episode_index"]) for item in items]),
+    task=np.array([item["task"] for item in items]),
+    length=np.array(dataset.meta.episodes["length"]),
+    ended=np.array(dataset.meta.episodes["ended"]),
+    fps=dataset.fps,
+    middle=window[1]["observation.image"].numpy(),
+    edge=window[0]["observation.image_is_pad"].numpy(),
+    shape=window[1]["action"].numpy().shape,
+    one=LeRobotDataset("open/explore-mini", root=root, episodes=[1])[0]["observation.image"].numpy(),
+    mean=dataset.meta.stats["observation.image"]["mean"],
+)
+"""
+
+
+def test_plain_lerobot_loads_it_offline(release: Release, tmp_path: Path) -> None:
+    offline = {"HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path / "hub"), "HF_DATASETS_OFFLINE": "1"}
+    script, out = tmp_path / "load.py", tmp_path / "loaded.npz"
+    script.write_text(textwrap.dedent(LEROBOT))
+    done = subprocess.run(
+        [sys.executable, str(script), str(release.root), str(out)],
+        env={**os.environ, **offline}, capture_output=True, text=True, check=False, cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    loaded = np.load(out)
+    images = release.images(range(len(release)))
+    assert np.array_equal(np.round(loaded["image"] * 255).astype(np.uint8).transpose(0, 2, 3, 1), images)
+    assert np.array_equal(loaded["action"], release.column("action"))
+    assert np.array_equal(loaded["truncated"], release.column("next.truncated"))
+    assert np.array_equal(loaded["episode"], release.column("episode_index"))
+    assert loaded["length"].tolist() == release.episodes["length"].tolist()
+    assert loaded["ended"].tolist() == release.episodes["ended"].tolist()
+    assert set(loaded["task"]) == {"explore the sandbox: no task, no reward"}
+    assert loaded["fps"] == 25
+    assert np.array_equal(np.round(loaded["middle"] * 255).astype(np.uint8).transpose(0, 2, 3, 1), images[:3])
+    assert loaded["edge"].tolist() == [True, False, False]
+    assert loaded["shape"].tolist() == [2, 9]
+    start = release.episodes["dataset_from_index"][1]
+    assert np.array_equal(np.round(loaded["one"] * 255).astype(np.uint8).transpose(1, 2, 0), images[start])
+    assert loaded["mean"].shape == (3, 1, 1)
+    artefacts.verify(release.root, "release")  # LeRobot left nothing behind in it
+
+
+def test_same_logs_give_the_same_bytes_anywhere(
+    log: Path, release: Release, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gym_open.datasets.build.workers", lambda: 5)
+    again = build_release(CONFIG, log, tmp_path / "deep" / "er" / "other")
+    assert again.made
+    assert artefacts.digest(again.path) == release.digest
+    assert not build_release(CONFIG, log, again.path).made
+    text = b"".join(path.read_bytes() for path in again.path.rglob("*") if path.is_file())
+    assert str(tmp_path).encode() not in text
+
+
+def test_data_files_roll_at_a_size(make_log: MakeLog, tmp_path: Path) -> None:
+    log = make_log(lengths=((40, 35, 25),))  # 2.2 MB: noise does not compress
+    rolled = open_release(build_release(ReleaseConfig(data_file_mb=1, max_episode_steps=10), log, tmp_path / "r").path)
+    files = sorted(rolled.root.glob("data/chunk-000/file-*.parquet"))
+    assert len(files) > 1
+    for number, path in enumerate(files):
+        lengths = [row["length"] for row in episodes(rolled) if row["data/file_index"] == number]
+        assert len(pd.read_parquet(path, columns=["index"])) == sum(lengths)
+    assert rolled.column("index").tolist() == list(range(len(rolled)))
+
+
+def test_a_cut_log_leaves_no_release(make_log: MakeLog, tmp_path: Path) -> None:
+    log = make_log(lengths=((4, 3),), seed=3)
+    file = log_files(log)[0]
+    data = file.read_bytes()
+    file.write_bytes(data[: np.random.default_rng(0).integers(1, len(data))])
+    with pytest.raises(ArtefactError, match=r"stream-000\.mcap"):
+        build_release(CONFIG, log, tmp_path / "release")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interrupted_build_begins_again(log: Path, release: Release, tmp_path: Path) -> None:
+    class KilledError(Exception):
+        pass
+
+    def killed(*_: object) -> None:
+        raise KilledError
+
+    out = tmp_path / "release"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gym_open.datasets.build.write_tables", killed)
+        with pytest.raises(KilledError):
+            build_release(CONFIG, log, out)
+    assert not out.exists()
+    assert artefacts.digest(build_release(CONFIG, log, out).path) == release.digest
