@@ -1,3 +1,19 @@
 """gym-open: OPEn, an open-ended physics environment for learning without a task, as data and offline learning."""
 
+import gymnasium
+
 __version__ = "0.1.0"
+
+ENV_IDS = {
+    "sandbox": "gym_open/Sandbox-v1",
+    "goal-seeking": "gym_open/GoalSeeking-v1",
+    "preferences": "gym_open/Preferences-v1",
+    "avoidance": "gym_open/Avoidance-v1",
+    "tool-use": "gym_open/ToolUse-v1",
+}
+"""Gymnasium id of each task."""
+
+for _task, _name in ENV_IDS.items():
+    # The string is imported when an environment is made: physics and ray caster load only then.
+    if _name not in gymnasium.registry:
+        gymnasium.register(id=_name, entry_point="gym_open.envs.env:OpenEnv", kwargs={"task": _task})

@@ -25,7 +25,7 @@ LINES = ((0, 2), (0, 3), (1, 2), (1, 3), (1, 4), (1, 5))
 """Preferences: axis of the line (0 along a row, 1 along a column) and cells from the agent to either goal that fit."""
 
 
-class SandboxConfig(Config):
+class SandboxConfig(Config, frozen=True):
     """What lies in a sandbox world. A pair is the smallest and the largest count, drawn uniformly."""
 
     yellow: tuple[Count, Count] = (1, 2)

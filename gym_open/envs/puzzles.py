@@ -56,7 +56,8 @@ class Puzzle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A task and a layout.
 
     Raises:
-        PuzzleError: if objects are unsorted, share a cell, stand in a wall, outnumber the model's, or a piece sticks out.
+        PuzzleError: if objects are unsorted, share a cell, stand in a wall or outnumber the model's, or a piece
+            sticks out of the table.
     """
 
     task: Task

@@ -24,6 +24,9 @@ def test_puzzles(task: Task) -> tuple[Puzzle, ...]:
     return tuple(Puzzle.from_json(line) for line in lines)
 
 
+test_puzzles.__test__ = False  # pyright: ignore[reportAttributeAccessIssue]  # not a test, whatever pytest thinks
+
+
 @functools.cache
 def reserved_digests() -> frozenset[str]:
     """Digests of all test layouts of all tasks."""
