@@ -19,7 +19,8 @@ from gym_open.datasets.splits import Split, held_out, split_of
 from gym_open.datasets.statistics import Moments, PictureMoments
 from gym_open.datasets.tables import segment_row, write_tables
 from gym_open.errors import ArtefactError
-from gym_open.formats.releases import IMAGE, workers
+from gym_open.formats.pictures import workers
+from gym_open.formats.releases import IMAGE
 
 if TYPE_CHECKING:
     from gym_open.formats.log_reader import Log

@@ -8,7 +8,6 @@
 A segment longer than the cap is cut into pieces; the observation at a cut ends one piece and begins the next.
 """
 
-import io
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from typing import TYPE_CHECKING
@@ -18,7 +17,7 @@ import numpy as np
 
 from gym_open.datasets.features import fps
 from gym_open.envs.constants import N_ACTIONS
-from gym_open.formats.releases import IMAGE
+from gym_open.formats.pictures import encode_png
 
 if TYPE_CHECKING:
     from gym_open.formats.log_schemas import Segment
@@ -27,8 +26,6 @@ LENGTH_CAP = "length_cap"
 """`ended` of an episode that was cut for its length; the next episode goes on from its last observation."""
 NO_ACTION = -1
 """`action.index` of the frame after the last action."""
-PNG_LEVEL = 6
-"""7,200 frames/s on two cores; level 9 saves a tenth of the bytes at a fifth of the speed."""
 _SPAN = 32
 """Pictures that a thread codes at a time."""
 
@@ -113,15 +110,6 @@ def _padded(values: np.ndarray, dtype: type, fill: float = 0) -> np.ndarray:
     return np.append(values.astype(dtype), np.asarray(fill, dtype=dtype))
 
 
-def encode_png(image: np.ndarray) -> bytes:
-    """PNG file of an (H, W, 3) uint8 picture: lossless, and the same bytes for the same Pillow."""
-    from PIL import Image
-
-    out = io.BytesIO()
-    Image.fromarray(image).save(out, "PNG", compress_level=PNG_LEVEL)
-    return out.getvalue()
-
-
 def encode_pngs(images: np.ndarray, pool: Executor) -> list[bytes]:
     """PNG files of (n, H, W, 3) uint8 pictures, in their order, encoded by the threads of `pool`."""
 
@@ -129,6 +117,3 @@ def encode_pngs(images: np.ndarray, pool: Executor) -> list[bytes]:
         return [encode_png(image) for image in images[first : first + _SPAN]]
 
     return [data for span in pool.map(encode, range(0, len(images), _SPAN)) for data in span]
-
-
-__all__ = ["IMAGE", "LENGTH_CAP", "NO_ACTION", "Piece", "encode_pngs", "numbers", "pieces"]

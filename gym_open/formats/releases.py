@@ -10,8 +10,6 @@ T actions make T + 1 frames: the last frame of an episode carries only the obser
 """
 
 import functools
-import io
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -22,6 +20,7 @@ import numpy as np
 
 from gym_open import artefacts
 from gym_open.errors import ArtefactError
+from gym_open.formats.pictures import decode_png, workers
 
 if TYPE_CHECKING:  # heavy, and needed only when something is read
     import pandas as pd
@@ -39,19 +38,6 @@ Table = Literal["streams", "worlds", "switches", "segments"]
 
 _CACHED_GROUPS = 512
 """Row groups whose PNG bytes stay in memory: about 1,000 frames each, so at most about 1.5 GB at 2.7 kB a frame."""
-
-
-def decode_png(data: bytes) -> np.ndarray:
-    """The picture in a PNG file's bytes: (H, W, 3) uint8 RGB."""
-    from PIL import Image
-
-    with Image.open(io.BytesIO(data)) as picture:
-        return np.asarray(picture.convert("RGB"))
-
-
-def workers() -> int:
-    """Threads to code pictures with: the processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Release:

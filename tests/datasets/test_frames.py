@@ -6,11 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gym_open.datasets.features import features
-from gym_open.datasets.frames import encode_png, numbers, pieces
+from gym_open.datasets.frames import numbers, pieces
 from gym_open.datasets.statistics import Moments, PictureMoments
 from gym_open.envs.generators import sample_puzzle
 from gym_open.formats.logs import Segment
-from gym_open.formats.releases import decode_png
+from gym_open.formats.pictures import decode_png, encode_png
 
 NAMES = ("agent", "yellow_0")
 PUZZLE = sample_puzzle("sandbox", np.random.default_rng(0))
