@@ -5,6 +5,8 @@ from typing import Literal
 from gym_open.config import Config, Count, Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
 
 Precision = Literal["fp32", "bf16"]
+ExplorerKind = Literal["curl+ride", "curl+random"]
+"""World model and reward: `curl+random` plays uniformly random actions and learns the world model alone."""
 
 
 class EncoderConfig(Config, frozen=True, kw_only=True):

@@ -7,7 +7,6 @@ from outside: nothing here takes one.
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import torch
@@ -16,15 +15,12 @@ from torch import Tensor, nn
 
 from gym_open import seeding
 from gym_open.agents.augment import random_shift
-from gym_open.agents.config import CurlConfig, EncoderConfig, PPOConfig
+from gym_open.agents.config import CurlConfig, EncoderConfig, ExplorerKind, PPOConfig
 from gym_open.agents.curl import Curl, info_nce
 from gym_open.agents.encoder import Encoder, autocast
 from gym_open.agents.policy import ActorCritic
 from gym_open.agents.ppo import Rollout, gae, policy_loss, value_loss
 from gym_open.agents.ride import ride_reward
-
-ExplorerKind = Literal["curl+ride", "curl+random"]
-"""World model and reward: `curl+random` plays uniformly random actions and learns the world model alone."""
 
 
 @dataclass(frozen=True)
