@@ -1,0 +1,93 @@
+"""Encoders and policies on disk, and what happens when they are not what they say."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from gym_open.agents.config import EncoderConfig
+from gym_open.agents.encoder import Encoder
+from gym_open.agents.policy import ActorCritic
+from gym_open.errors import ArtefactError
+from gym_open.formats.checkpoints import load_checkpoint, save_checkpoint
+from gym_open.formats.models import load_encoder, load_policy, save_encoder, save_policy
+
+
+def encoder() -> Encoder:
+    net = Encoder(EncoderConfig(features=8, pixel_scale=3.0), torch.Generator().manual_seed(0))
+    net.set_mean_image(torch.full((2, 84, 84, 3), 100, dtype=torch.uint8))
+    return net
+
+
+def policy() -> ActorCritic:
+    return ActorCritic(encoder(), 9, torch.Generator().manual_seed(1))
+
+
+def images() -> torch.Tensor:
+    generator = torch.Generator().manual_seed(2)
+    return torch.randint(256, (3, 84, 84, 3), generator=generator).to(torch.uint8)
+
+
+def test_encoder_comes_back_bit_for_bit(tmp_path: Path) -> None:
+    net = encoder()
+    save_encoder(tmp_path, net)
+    found = load_encoder(tmp_path)
+    assert found.config == net.config
+    assert torch.equal(found(found.prepare(images())), net(net.prepare(images())))
+
+
+def test_policy_comes_back_bit_for_bit(tmp_path: Path) -> None:
+    net = policy()
+    save_policy(tmp_path, net)
+    found = load_policy(tmp_path)
+    for a, b in zip(found(found.encoder.prepare(images())), net(net.encoder.prepare(images())), strict=True):
+        assert torch.equal(a, b)
+
+
+def test_equal_models_give_equal_bytes(tmp_path: Path) -> None:
+    save_policy(tmp_path / "a", policy())
+    save_policy(tmp_path / "b", policy())
+    for name in ("model.safetensors", "model.json"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_wrong_shape_is_named(tmp_path: Path) -> None:
+    save_encoder(tmp_path, encoder())
+    path = tmp_path / "model.json"
+    path.write_text(path.read_text().replace("8", "16"))
+    with pytest.raises(ArtefactError, match=r"model\.safetensors.*layers\.7\.bias.*\(16,\).*got \(8,\)"):
+        load_encoder(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"), [("missing", "'mean_image' is missing"), ("unknown", "'odd' is unknown")]
+)
+def test_missing_and_unknown_tensors_are_named(tmp_path: Path, change: str, message: str) -> None:
+    save_encoder(tmp_path, encoder())
+    tensors, meta = load_checkpoint(tmp_path / "model.safetensors")
+    if change == "missing":
+        del tensors["mean_image"]
+    else:
+        tensors["odd"] = torch.zeros(1)
+    save_checkpoint(tmp_path / "model.safetensors", tensors, meta)
+    with pytest.raises(ArtefactError, match=message):
+        load_encoder(tmp_path)
+
+
+def test_a_policy_is_no_encoder(tmp_path: Path) -> None:
+    save_policy(tmp_path, policy())
+    with pytest.raises(ArtefactError, match=r"model\.json.*'policy'"):
+        load_encoder(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[1", '{"kind": "encoder", "encoder": {"features": 0}}'])
+def test_a_damaged_architecture_is_named(tmp_path: Path, text: str) -> None:
+    save_encoder(tmp_path, encoder())
+    (tmp_path / "model.json").write_text(text)
+    with pytest.raises(ArtefactError, match=r"model\.json: not an EncoderArchitecture"):
+        load_encoder(tmp_path)
+
+
+def test_no_model_at_all(tmp_path: Path) -> None:
+    with pytest.raises(ArtefactError, match=r"model\.json: missing"):
+        load_policy(tmp_path)
