@@ -50,22 +50,6 @@ def decide(losses: Sequence[float], current: int, taken: Collection[int], thresh
     return Decision("learned", max(free, key=lambda world: (losses[world], -world)))
 
 
-class SmoothedLoss:
-    """Mean of the last `window` losses measured since a world was entered."""
-
-    def __init__(self, window: int) -> None:
-        self._window = window
-        self.recent: list[float] = []
-
-    def enter(self) -> None:
-        """Forget: a world was entered."""
-        self.recent = []
-
-    def add(self, loss: float) -> None:
-        """Take in the loss at the end of a rollout."""
-        self.recent = [*self.recent, loss][-self._window :]
-
-    @property
-    def value(self) -> float:
-        """The mean, infinite before anything was measured."""
-        return sum(self.recent) / len(self.recent) if self.recent else math.inf
+def smoothed(recent: Sequence[float]) -> float:
+    """Mean of the last losses measured of a world being played in; infinite before anything was."""
+    return sum(recent) / len(recent) if recent else math.inf
