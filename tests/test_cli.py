@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
+
 from gym_open import workspace
 from gym_open.cli import COMMANDS, main
 

@@ -1,0 +1,73 @@
+"""Playing the fixed puzzles: what is recorded is what happened, and it can be replayed."""
+
+import numpy as np
+import pytest
+from gym_open.envs.constants import N_ACTIONS
+from gym_open.envs.env import OpenEnv
+from gym_open.envs.puzzles import TASKS, Task
+from gym_open.envs.tasks import step_budget
+from gym_open.envs.test_set import test_puzzles as fixed_puzzles
+from gym_open.evaluate import a_success
+from gym_open.evaluate.config import EvaluateConfig
+from gym_open.evaluate.play import Episodes, play, summarise
+
+
+def _uniform(images: np.ndarray) -> np.ndarray:
+    assert images.dtype == np.uint8
+    assert images.shape[1:] == (84, 84, 3)
+    return np.full((len(images), N_ACTIONS), 1 / N_ACTIONS)
+
+
+def _always(action: int) -> np.ndarray:
+    return np.eye(N_ACTIONS)[action]
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_the_recorded_actions_replay_to_the_recorded_rewards(task: Task) -> None:
+    puzzles = fixed_puzzles(task)[:4]
+    episodes = play(_uniform, task, puzzles, EvaluateConfig(task="goal-seeking", seed=5))
+    assert episodes.actions.shape == episodes.rewards.shape == (4, step_budget(task))
+    for i, puzzle in enumerate(puzzles):
+        env = OpenEnv(task)
+        env.reset(seed=99, options={"puzzle": puzzle})
+        for t in range(episodes.steps[i]):
+            _, reward, terminated, _, _ = env.step(int(episodes.actions[i, t]))
+            assert reward == episodes.rewards[i, t]
+            assert terminated == (episodes.terminated[i] and t == episodes.steps[i] - 1)
+        assert (episodes.actions[i, episodes.steps[i] :] == -1).all()
+        assert not episodes.rewards[i, episodes.steps[i] :].any()
+
+
+def test_a_puzzles_episode_does_not_depend_on_its_neighbours() -> None:
+    puzzles = fixed_puzzles("goal-seeking")
+    together = play(_uniform, "goal-seeking", puzzles[:3], EvaluateConfig(seed=1))
+    alone = play(_uniform, "goal-seeking", puzzles[:1], EvaluateConfig(seed=1))
+    assert (together.actions[0] == alone.actions[0]).all()
+    other = play(_uniform, "goal-seeking", puzzles[:1], EvaluateConfig(seed=2))
+    assert (other.actions[0] != alone.actions[0]).any()
+
+
+def test_greedy_takes_the_most_likely_action_and_sampling_draws_from_the_probabilities() -> None:
+    puzzles = fixed_puzzles("goal-seeking")[:2]
+
+    def leaning(images: np.ndarray) -> np.ndarray:
+        return np.tile(0.75 * _always(3) + 0.25 * _always(7), (len(images), 1))
+
+    greedy = play(leaning, "goal-seeking", puzzles, EvaluateConfig(actions="greedy"))
+    assert set(greedy.actions[greedy.actions >= 0].tolist()) == {3}
+    sampled = play(leaning, "goal-seeking", puzzles, EvaluateConfig())
+    drawn = sampled.actions[sampled.actions >= 0]
+    assert set(drawn.tolist()) == {3, 7}
+    assert np.mean(drawn == 3) == pytest.approx(0.75, abs=4 * np.sqrt(0.75 * 0.25 / len(drawn)))
+
+
+def test_the_interval_is_that_of_the_puzzles_own_values() -> None:
+    rewards = np.zeros((3, 10))
+    rewards[0, 0] = rewards[1, 4] = 1.0
+    steps = np.array([1, 5, 10])
+    scores = summarise(Episodes(np.zeros((3, 10), np.int8), rewards, steps, np.array([True, True, False])))
+    own = [1.0, a_success(np.arange(1, 11) >= 5), 0.0]
+    assert scores["a_success"] == pytest.approx(np.mean(own))
+    assert scores["a_success_half_width_95"] == pytest.approx(1.96 * np.std(own, ddof=1) / np.sqrt(3))
+    assert scores["mean_return"] == pytest.approx(2 / 3)
+    assert scores["mean_steps"] == pytest.approx(16 / 3)
