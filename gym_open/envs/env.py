@@ -37,7 +37,10 @@ class OpenEnv(gymnasium.Env[np.ndarray, np.int64]):
     after a step, the goals hit in it. The sandbox pays nothing and never ends; the tasks are truncated at their budget.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": round(1 / c.CONTROL_DT_S)}
+    metadata: ClassVar[dict[str, Any]] = {  # pyright: ignore[reportIncompatibleVariableOverride]
+        "render_modes": ["rgb_array"],
+        "render_fps": round(1 / c.CONTROL_DT_S),
+    }
 
     def __init__(
         self, task: Task = "sandbox", *, sandbox: SandboxConfig | None = None, render_mode: str | None = None

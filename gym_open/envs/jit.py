@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
+import numba.core.config
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -16,5 +17,5 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     try:
         return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
     except RuntimeError:  # no folder to cache in
-        numba.config.CACHE_DIR = str(Path(tempfile.gettempdir()) / "gym-open-numba")  # pyright: ignore[reportAttributeAccessIssue]
+        numba.core.config.CACHE_DIR = str(Path(tempfile.gettempdir()) / "gym-open-numba")  # pyright: ignore[reportAttributeAccessIssue]
         return numba.njit(cache=True, nogil=True, error_model="numpy")(function)

@@ -23,10 +23,12 @@ INVENTORY: tuple[str, ...] = tuple(
 PARKING_Y = -30.0
 """Parked things stand beyond this y, far behind the camera and out of the table's reach."""
 
-# Bounce: reference acceleration −k·depth − b·speed of a contact, in 1/s² and 1/s (MuJoCo scales it by the masses).
-_BOUNCE_OBJECTS = "-40000 -66"
-_BOUNCE_SCENERY = "-40000 -140"
+# Reference acceleration −k·depth − b·speed of a contact as "−k −b", in 1/s² and 1/s; MuJoCo scales it by the masses.
+_BOUNCE_OBJECTS = "-40000 -72"
+_BOUNCE_SCENERY = "-40000 -175"
 _NO_BOUNCE = "0.01 1"
+# Friction brakes a sliding body no harder than b·speed. Harder, MuJoCo's convex friction makes fast cubes hop.
+_BRAKE = "-1 -10"
 _FIRM = "0.99 0.99 0.001"
 _FRICTION = 0.35
 _ROLLING = 0.003
@@ -58,10 +60,10 @@ def model_xml() -> str:
     <headlight active="0"/>
   </visual>
   <default>
-    <geom condim="3" friction="{_FRICTION} 0.005 {_ROLLING}" solref="{_BOUNCE_OBJECTS}" solimp="{_FIRM}"/>
+    <geom condim="1" solref="{_BOUNCE_OBJECTS}" solimp="{_FIRM}"/>
     <default class="seen"><geom contype="0" conaffinity="0" group="0"/></default>
     <default class="scenery"><geom contype="2" conaffinity="1" priority="1" solref="{_BOUNCE_SCENERY}"/></default>
-    <default class="unseen"><geom contype="2" conaffinity="1" condim="1" priority="3" group="4"/></default>
+    <default class="unseen"><geom contype="2" conaffinity="1" priority="1" group="4" solref="{_BOUNCE_SCENERY}"/></default>
   </default>
   <worldbody>
     <light type="directional" dir="{_text(c.LIGHT_DIRECTION)}" pos="0 0 5" castshadow="false" \
@@ -177,30 +179,29 @@ def _objects() -> list[str]:
         kind = kind_of(name)
         shape = {"agent": "sphere", "yellow": "sphere", "green": "sphere"}.get(kind, "box")
         size = f"{c.RADIUS}" if shape == "sphere" else _text([c.RADIUS] * 3)
-        # The agent glides: a rolling sphere with friction would climb on what it pushes.
-        extra = {"agent": ' condim="1" priority="2"'}.get(kind, "")
         rest = "never" if kind == "agent" else "allowed"
         look = f'type="{shape}" size="{size}" rgba="{rgba(c.COLOUR[kind])}"'
         lines += [
             f'<body name="{name}" pos="{_text(parking_place(index))}" sleep="{rest}">',
             f'  <freejoint name="{name}"/>',
-            f'  <geom name="{name}" {look} mass="{c.MASS[kind]}" contype="1" conaffinity="3"{extra}/>',
+            f'  <geom name="{name}" {look} mass="{c.MASS[kind]}" contype="1" conaffinity="3"/>',
             "</body>",
         ]
     return lines
 
 
 def _pairs() -> list[str]:
-    """Contacts with settings of their own: the agent glides without a bounce, goals roll and come to rest."""
-    agent = [
-        f'<pair geom1="{ground}" geom2="agent" condim="1" solref="{_NO_BOUNCE}" solimp="{_FIRM}"/>'
-        for ground in ("ground", "ramp_slope", "ramp_platform")
-    ]
-    rolling = f"{_FRICTION} {_FRICTION} 0.005 {_ROLLING} {_ROLLING}"
-    return agent + [
-        f'<pair geom1="ground" geom2="{name}" condim="6" friction="{rolling}" solref="{_NO_BOUNCE}" solimp="{_FIRM}"/>'
+    """Contacts with settings of their own: friction acts with the ground alone, so that nothing climbs on its neighbour.
+
+    The agent glides, cubes slide, goals roll and come to rest.
+    """
+    condim = {"agent": 1, "yellow": 6, "green": 6, "heavy": 3, "light": 3}
+    friction = f'friction="{_FRICTION} {_FRICTION} 0.005 {_ROLLING} {_ROLLING}" solreffriction="{_BRAKE}"'
+    still = f'solref="{_NO_BOUNCE}" solimp="{_FIRM}"'
+    ramp = [f'<pair geom1="{name}" geom2="agent" condim="1" {still}/>' for name in ("ramp_slope", "ramp_platform")]
+    return ramp + [
+        f'<pair geom1="ground" geom2="{name}" condim="{condim[kind_of(name)]}" {friction} {still}/>'
         for name in INVENTORY
-        if kind_of(name) in GOALS
     ]
 
 
