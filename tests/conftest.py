@@ -10,6 +10,8 @@ import pytest
 from gym_open import artefacts
 from gym_open.config import Config
 
+PARKED = ("green_2", "heavy_11", "light_0")
+"""Objects that no puzzle of the log uses."""
 Lengths = tuple[tuple[int, ...], ...]
 MakeLog = Callable[..., Path]
 
@@ -19,7 +21,7 @@ class LogRecipe(Config, frozen=True):
 
     lengths: Lengths
     seed: int
-    loss_threshold: float = 0.001
+    threshold: float = 0.25
 
 
 def write_log(folder: Path, recipe: LogRecipe) -> dict[str, Any]:
@@ -31,13 +33,15 @@ def write_log(folder: Path, recipe: LogRecipe) -> dict[str, Any]:
 
     rng = np.random.default_rng(recipe.seed)
     puzzles = tuple(sample_puzzle("sandbox", rng) for _ in range(3))
-    config = {"curriculum": {"loss_threshold": recipe.loss_threshold}, "seed": recipe.seed}
+    config = {"threshold": recipe.threshold, "seed": recipe.seed}
 
     def picture() -> np.ndarray:
         return rng.integers(0, 256, (84, 84, 3), dtype=np.uint8)
 
     def state() -> np.ndarray:
-        return rng.normal(size=(len(INVENTORY), 13))
+        drawn = rng.normal(size=(len(INVENTORY), 13))
+        drawn[[name in PARKED for name in INVENTORY], 1] = -30.0
+        return drawn
 
     for stream, lengths in enumerate(recipe.lengths):
         head = LogHead(stream, config, puzzles, {"code": "test"}, "<mujoco/>")
