@@ -5,7 +5,7 @@ from typing import Literal
 from gym_open.config import Config, PositiveInt, Seed
 
 
-class EvaluateConfig(Config):
+class EvaluateConfig(Config, frozen=True, kw_only=True):
     """How a policy is scored on the fixed 100 puzzles of a task."""
 
     task: Literal["goal-seeking", "preferences", "avoidance", "tool-use"] = "goal-seeking"

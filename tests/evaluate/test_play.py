@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from gym_open.envs.constants import N_ACTIONS
 from gym_open.envs.env import OpenEnv
 from gym_open.envs.puzzles import TASKS, Task

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
 from gym_open import artefacts
 from gym_open.config import Config
 from gym_open.envs.test_set import test_puzzles as fixed_puzzles

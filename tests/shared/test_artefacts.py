@@ -15,7 +15,7 @@ from gym_open.config import Config
 from gym_open.errors import ArtefactError, UsageError
 
 
-class Toy(Config):
+class Toy(Config, frozen=True, kw_only=True):
     n: int = 3
 
 

@@ -8,11 +8,11 @@ from gym_open.config import Config, PositiveInt, check, decode, load, to_dict
 from gym_open.errors import ConfigError
 
 
-class Inner(Config):
+class Inner(Config, frozen=True, kw_only=True):
     rate: float = 0.5
 
 
-class Outer(Config):
+class Outer(Config, frozen=True, kw_only=True):
     budget: PositiveInt = 10
     name: str = "x"
     inner: Inner = Inner()
