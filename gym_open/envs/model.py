@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from gym_open.envs import constants as c
-from gym_open.envs.puzzles import GOALS, KINDS
+from gym_open.envs.puzzles import KINDS
 
 INVENTORY: tuple[str, ...] = tuple(
     name
@@ -50,7 +50,7 @@ def model_xml() -> str:
 <mujoco model="open">
   <compiler angle="radian"/>
   <option timestep="{c.TIMESTEP_S}" integrator="implicitfast" cone="elliptic" jacobian="dense" sleep_tolerance="0.005">
-    <flag sleep="enable" nativeccd="disable"/>
+    <flag sleep="enable"/>
   </option>
   <statistic extent="2" center="0 0 0"/>
   <visual>
@@ -63,7 +63,9 @@ def model_xml() -> str:
     <geom condim="1" solref="{_BOUNCE_OBJECTS}" solimp="{_FIRM}"/>
     <default class="seen"><geom contype="0" conaffinity="0" group="0"/></default>
     <default class="scenery"><geom contype="2" conaffinity="1" priority="1" solref="{_BOUNCE_SCENERY}"/></default>
-    <default class="unseen"><geom contype="2" conaffinity="1" priority="1" group="4" solref="{_BOUNCE_SCENERY}"/></default>
+    <default class="unseen">
+      <geom contype="2" conaffinity="1" priority="1" group="4" solref="{_BOUNCE_SCENERY}"/>
+    </default>
   </default>
   <worldbody>
     <light type="directional" dir="{_text(c.LIGHT_DIRECTION)}" pos="0 0 5" castshadow="false" \
@@ -191,7 +193,7 @@ def _objects() -> list[str]:
 
 
 def _pairs() -> list[str]:
-    """Contacts with settings of their own: friction acts with the ground alone, so that nothing climbs on its neighbour.
+    """Contacts with settings of their own: friction acts with the ground alone, so that nothing climbs on another.
 
     The agent glides, cubes slide, goals roll and come to rest.
     """
