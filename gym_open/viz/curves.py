@@ -1,0 +1,127 @@
+"""The figure at the end of `gym-open run`: how play went, how learning went, what it was worth."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+
+from gym_open import artefacts
+from gym_open.errors import ArtefactError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+ENCODER, SCRATCH, RANDOM = "from CURL encoder", "from scratch", "random"
+STYLES: dict[str, dict[str, Any]] = {
+    ENCODER: {"color": "#0072B2", "marker": "o", "linestyle": "-"},
+    SCRATCH: {"color": "#E69F00", "marker": "s", "linestyle": "--"},
+    RANDOM: {"color": "#777777", "marker": "^", "linestyle": ":"},
+}
+"""Colours that colour-blind readers tell apart (Okabe and Ito), and a dash and a marker each for print."""
+LOSS, MEASURED, THRESHOLD, SWITCH = "#56B4E9", "#0072B2", "#D55E00", "#000000"
+
+
+def draw_run_figure(log: Path, others: Sequence[Path], save: Path) -> Path:
+    """Draw exploration, fine-tuning and score side by side as one PNG.
+
+    Args:
+        log: a log artefact.
+        others: policy and scores artefacts of one task, in any order; what is not there is not drawn.
+        save: the picture; it appears whole or not at all.
+
+    Raises:
+        ArtefactError: if an artefact's summary, curve or scores are missing or not readable.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(15, 4.6), dpi=120, layout="constrained")
+    left, middle, right = figure.subplots(1, 3)
+    _exploration(left, log)
+    policies = [path for path in others if artefacts.lineage(path).kind == "policy"]
+    scores = [path for path in others if artefacts.lineage(path).kind == "scores"]
+    task = next((artefacts.lineage(path).facts["task"] for path in [*policies, *scores]), "no task")
+    _fine_tuning(middle, policies, task)
+    _score(right, scores, task)
+    for axes in (left, middle, right):
+        axes.grid(alpha=0.25, linewidth=0.6)
+        axes.spines[["top", "right"]].set_visible(False)
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(frameon=False, fontsize=9)
+        else:
+            axes.text(0.5, 0.5, "no data", transform=axes.transAxes, ha="center", color="#777777")
+    beside = save.with_name(f".{save.name}.tmp")
+    FigureCanvasAgg(figure).print_png(beside, metadata={"Software": None})
+    return beside.replace(save)
+
+
+def _exploration(axes: "Axes", log: Path) -> None:
+    summary, config = _read(log / "summary.json"), artefacts.config_of(log)
+    curve = _columns(summary["curve"])
+    axes.set(title="Exploration in the sandbox, no reward", xlabel="steps of all streams", ylabel="loss (nats)")
+    if len(curve["step"]):
+        axes.plot(curve["step"], curve["world_model_loss"], color=LOSS, label="world model's loss in training")
+        axes.plot(curve["step"], curve["world_loss"], color=MEASURED, linewidth=1.8, label="of the worlds in play")
+    axes.axhline(config["threshold"], color=THRESHOLD, linestyle="--", label="threshold: world learned")
+    if at := _switch_steps(summary["segments"]):
+        label = f"switch of world ({len(at)})"
+        floor = axes.get_xaxis_transform()
+        axes.plot(at, np.full(len(at), 0.02), "|", color=SWITCH, markersize=10, transform=floor, label=label)
+    axes.set_ylim(bottom=0)
+
+
+def _switch_steps(segments: list[dict[str, Any]]) -> list[int]:
+    """When each stream left a world that it had learned, in steps of all streams, which move at one pace."""
+    streams = {item["stream"] for item in segments}
+    found = []
+    for stream in streams:
+        step = 0
+        for item in sorted((item for item in segments if item["stream"] == stream), key=lambda item: item["segment"]):
+            step += item["steps"]
+            if item["ended"] == "learned":
+                found.append(step * len(streams))
+    return sorted(found)
+
+
+def _fine_tuning(axes: "Axes", policies: Sequence[Path], task: str) -> None:
+    axes.set(title=f"PPO on {task}", xlabel="environment steps", ylabel="mean return of a training episode")
+    for path in policies:
+        curve = _columns(_read(path / "curve.json"))
+        name = ENCODER if artefacts.lineage(path).facts["from_encoder"] else SCRATCH
+        there = np.isfinite(curve["mean_return"])
+        axes.plot(curve["step"][there], curve["mean_return"][there], **STYLES[name], markersize=3, label=name)
+
+
+def _score(axes: "Axes", scores: Sequence[Path], task: str) -> None:
+    axes.set(title=f"{task}, 100 fixed puzzles", xlabel="actions i", ylabel="mean return within i actions")
+    axes.set_xscale("log")
+    for path in scores:
+        record, name = _read(path / "scores.json"), _scored(artefacts.lineage(path))
+        within = np.asarray(record["mean_return_within"])
+        half = record.get("a_success_half_width_95")
+        label = f"{name}: A-Success {record['a_success']:.3f}" + (f" ± {half:.3f}" if half is not None else "")
+        style = {**STYLES[name], "marker": None if len(within) > 1 else STYLES[name]["marker"]}
+        axes.plot(np.arange(1, len(within) + 1), within, **style, linewidth=1.8, label=label)
+        if "puzzles" in record:
+            axes.set_title(f"{task}, {record['puzzles']} fixed puzzles")
+
+
+def _scored(lineage: artefacts.Lineage) -> str:
+    if not lineage.parents:
+        return RANDOM
+    return ENCODER if lineage.parents[0].lineage.facts["from_encoder"] else SCRATCH
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
+    except (OSError, msgspec.DecodeError) as error:
+        raise ArtefactError(f"{path}: not readable: {error}; build the artefact again") from None
+
+
+def _columns(curve: dict[str, Any]) -> dict[str, np.ndarray]:
+    """Columns of a curve by name; null becomes not-a-number."""
+    rows = np.array(curve["rows"], dtype=np.float64).reshape(-1, len(curve["columns"]))
+    return {name: rows[:, i] for i, name in enumerate(curve["columns"])}
