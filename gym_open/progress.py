@@ -14,6 +14,7 @@ from rich.progress import (
     TextColumn,
     TimeRemainingColumn,
 )
+from rich.table import Column
 from rich.text import Text
 
 console = Console(stderr=True)
@@ -41,10 +42,18 @@ class Bar:
 @contextmanager
 def bar(title: str, total: int, *, done: int = 0) -> Iterator[Bar]:
     """Show a bar of `total` units titled `title`, `done` of them already behind us (after a resume)."""
+
+    def fixed(width: int) -> Column:
+        return Column(min_width=width, no_wrap=True)
+
     columns = (
-        TextColumn("{task.description:<28}"), BarColumn(bar_width=24), MofNCompleteColumn(), _Rate(),
-        TimeRemainingColumn(), TextColumn("{task.fields[note]}"),
-    )  # fmt: skip
+        TextColumn("{task.description}", table_column=fixed(18)),
+        BarColumn(bar_width=10),
+        MofNCompleteColumn(table_column=fixed(11)),
+        _Rate(table_column=fixed(8)),
+        TimeRemainingColumn(table_column=fixed(7)),
+        TextColumn("{task.fields[note]}", table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1)),
+    )
     with Progress(*columns, console=console) as progress:
         task = progress.add_task(title, total=total, completed=done, note="")
         yield Bar(progress, task)
