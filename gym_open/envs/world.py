@@ -1,7 +1,6 @@
 """One world: a puzzle's layout on the fixed model, moved by the agent's actions and seen by its camera."""
 
 import functools
-from typing import Any
 
 import msgspec
 import mujoco
@@ -15,6 +14,8 @@ from gym_open.envs.scene import Scene
 from gym_open.envs.sleep import AWAKE, set_asleep
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+
+_EMPTY = "the world is empty: load a puzzle first"
 
 N = len(m.INVENTORY)
 GOAL_INDEX = {name: i for i, name in enumerate(m.INVENTORY) if m.kind_of(name) in GOALS}
@@ -43,6 +44,7 @@ class World:
         self._contacts = ContactSum(self.model)
         self._scene = Scene()
         self._hit: set[str] = set()
+        self._danger: tuple[float, float] | None = None
         self._goal_of_geom = {self.model.geom(name).id: name for name in GOAL_INDEX}
         self._agent_geom = self.model.geom("agent").id
 
@@ -54,12 +56,13 @@ class World:
             PuzzleError: before the first `load`.
         """
         if self._puzzle is None:
-            raise PuzzleError("the world is empty: load a puzzle first")
+            raise PuzzleError(_EMPTY)
         return self._puzzle
 
     def load(self, puzzle: Puzzle, *, recolour_hits: bool = False) -> None:
         """Lay the puzzle out, at rest; a goal turns its hit colour on a touch if `recolour_hits`."""
         self._puzzle = puzzle
+        self._danger = c.cell_centre(puzzle.patch.row, puzzle.patch.column) if puzzle.patch else None
         self._hit = set()
         self.present[:] = False
         mujoco.mj_resetData(self.model, self.data)
@@ -80,9 +83,10 @@ class World:
         """Take one action: a move of one cell, after which the agent stands still; 0 lets no time pass."""
         if not 0 <= action < c.N_ACTIONS:
             raise ValueError(f"action: expected 0 to {c.N_ACTIONS - 1}, got {action}")
-        puzzle = self.puzzle
+        if self._puzzle is None:
+            raise PuzzleError(_EMPTY)
         if action == 0:
-            return StepOutcome((), self._in_danger(puzzle), ())
+            return StepOutcome((), self._in_danger(), ())
         data, contacts = self.data, self._contacts
         contacts.clear()
         danger = False
@@ -92,7 +96,7 @@ class World:
         for _ in range(c.SUBSTEPS):
             mujoco.mj_step(self.model, data)
             contacts.add(data)
-            danger = danger or self._in_danger(puzzle)
+            danger = danger or self._in_danger()
         # Standing still, but falling on: the agent cannot fly.
         speed[:6] = 0, 0, min(speed[2], 0.0), 0, 0, 0
         hits = self._new_hits()
@@ -115,8 +119,8 @@ class World:
         state = np.empty((N, 13))
         poses, speeds = self.data.qpos.reshape(N, 7), self.data.qvel.reshape(N, 6)
         state[:, :7] = poses
-        state[:, 7:10] = speeds[:, :3]
-        for i in range(N):  # a free joint's angular velocity is in the body's own frame
+        state[:, 7:] = speeds
+        for i in speeds[:, 3:].any(axis=1).nonzero()[0]:  # MuJoCo keeps it in the body's own frame
             mujoco.mju_rotVecQuat(state[i, 10:], speeds[i, 3:], poses[i, 3:])
         return state
 
@@ -158,11 +162,11 @@ class World:
             self.data.mocap_pos[mocap] = place
             self.data.mocap_quat[mocap] = np.cos(angle / 2), 0, 0, np.sin(angle / 2)
 
-    def _in_danger(self, puzzle: Puzzle) -> bool:
-        if puzzle.patch is None:
+    def _in_danger(self) -> bool:
+        if self._danger is None:
             return False
-        x, y = c.cell_centre(puzzle.patch.row, puzzle.patch.column)
-        agent: Any = self.data.qpos
+        x, y = self._danger
+        agent = self.data.qpos
         return bool(abs(agent[0] - x) <= c.DANGER_HALF and abs(agent[1] - y) <= c.DANGER_HALF)
 
     def _new_hits(self) -> tuple[str, ...]:
