@@ -47,8 +47,8 @@ def bar(title: str, total: int, *, done: int = 0) -> Iterator[Bar]:
         return Column(min_width=width, no_wrap=True)
 
     columns = (
-        TextColumn("{task.description}", table_column=fixed(18)),
-        BarColumn(bar_width=10),
+        TextColumn("{task.description}", table_column=fixed(14)),
+        BarColumn(bar_width=10, table_column=fixed(10)),
         MofNCompleteColumn(table_column=fixed(11)),
         _Rate(table_column=fixed(8)),
         TimeRemainingColumn(table_column=fixed(7)),
