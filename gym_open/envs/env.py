@@ -66,7 +66,7 @@ class OpenEnv(gymnasium.Env[np.ndarray, np.int64]):
         """Begin an episode on a drawn puzzle, or on `options["puzzle"]`.
 
         Raises:
-            PuzzleError: if an option is unknown, or its puzzle is none.
+            PuzzleError: if an option is unknown, or its puzzle is none or another task's.
         """
         super().reset(seed=seed)
         self._begin(self._chosen(options or {}) or sample_puzzle(self.task, self.np_random, self._sandbox))
@@ -118,4 +118,8 @@ class OpenEnv(gymnasium.Env[np.ndarray, np.int64]):
         puzzle = options.get("puzzle")
         if puzzle is not None and not isinstance(puzzle, Puzzle):
             raise PuzzleError(f"reset option 'puzzle': expected a Puzzle, got {type(puzzle).__name__}")
+        if puzzle is not None and puzzle.task != self.task:
+            raise PuzzleError(
+                f"reset option 'puzzle': one of task {puzzle.task!r} given to a {self.task!r} environment"
+            )
         return puzzle

@@ -21,6 +21,13 @@ TASKS: tuple[Task, ...] = ("goal-seeking", "preferences", "avoidance", "tool-use
 """The four evaluation tasks; the sandbox is no task."""
 KINDS: tuple[Kind, ...] = get_args(Kind)
 GOALS: tuple[Kind, ...] = ("yellow", "green")
+_NEEDS: dict[Task, tuple[Kind, ...]] = {
+    "sandbox": (),
+    "goal-seeking": ("yellow",),
+    "preferences": ("yellow", "green"),
+    "avoidance": ("yellow",),
+    "tool-use": ("yellow",),
+}
 SIDES: dict[Side, Cell] = {"north": (-1, 0), "east": (0, 1), "south": (1, 0), "west": (0, -1)}
 """Step (row, column) towards each side; north is away from the camera."""
 
@@ -113,7 +120,12 @@ def ramp_cells(pen: Pen) -> set[Cell]:
 
 
 def check_puzzle(puzzle: Puzzle) -> None:
-    """Raise PuzzleError unless the layout can be built from the model's pieces without overlap."""
+    """Raise PuzzleError unless the layout can be built and holds what its task asks for."""
+    _check_objects(puzzle)
+    _check_pieces(puzzle)
+
+
+def _check_objects(puzzle: Puzzle) -> None:
     cells = [(item.row, item.column) for item in puzzle.objects]
     for item, cell in zip(puzzle.objects, cells, strict=True):
         if cells.count(cell) > 1:
@@ -124,12 +136,23 @@ def check_puzzle(puzzle: Puzzle) -> None:
             raise PuzzleError(f"puzzle: {count} objects of kind {kind!r}, but the model holds {CAPACITY[kind]}")
     if sum(item.kind == "agent" for item in puzzle.objects) != 1:
         raise PuzzleError("puzzle: expected exactly one object of kind 'agent'")
+    for kind in _NEEDS[puzzle.task]:
+        if all(item.kind != kind for item in puzzle.objects):
+            raise PuzzleError(f"puzzle: task {puzzle.task!r} needs an object of kind {kind!r}")
     if puzzle.objects != arranged(list(puzzle.objects)):
         raise PuzzleError("puzzle: objects are not in canonical order; build them with puzzles.arranged")
+
+
+def _check_pieces(puzzle: Puzzle) -> None:
+    if puzzle.task == "avoidance" and puzzle.patch is None:
+        raise PuzzleError("puzzle: task 'avoidance' needs a patch")
+    if puzzle.task == "tool-use" and puzzle.pen is None:
+        raise PuzzleError("puzzle: task 'tool-use' needs a pen")
+    cells = {(item.row, item.column) for item in puzzle.objects}
     for name, piece, reach in (("pen", puzzle.pen, 2), ("patch", puzzle.patch, 1)):
         if piece and not (reach <= piece.row < ROWS - reach and reach <= piece.column < COLUMNS - reach):
             raise PuzzleError(f"puzzle: {name} around cell {(piece.row, piece.column)} sticks out of the table")
-    if puzzle.pen and (blocked := (pen_wall_cells(puzzle.pen) | ramp_cells(puzzle.pen)) & set(cells)):
+    if puzzle.pen and (blocked := (pen_wall_cells(puzzle.pen) | ramp_cells(puzzle.pen)) & cells):
         raise PuzzleError(f"puzzle: objects on cells {sorted(blocked)}, where the pen's wall or ramp stands")
 
 
