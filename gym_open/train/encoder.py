@@ -122,7 +122,7 @@ class _Trainer:
                 if self.update % config.report_every and self.update < config.updates:
                     continue
                 since = self.update - int(self.rows[-1][0] or 0) if self.rows else self.update
-                loss, accuracy = sums / since
+                loss, accuracy = (sums / since).tolist()
                 self.rows.append(clean([self.update, loss, accuracy, *self.held_out()]))
                 sums[:] = 0
                 self.save()

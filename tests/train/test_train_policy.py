@@ -1,0 +1,165 @@
+"""PPO on a task: repeatable, resumable, right about the ends of episodes."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+import torch
+
+from gym_open import artefacts, seeding
+from gym_open.agents.config import CurlConfig, EncoderConfig, PPOConfig
+from gym_open.config import Config
+from gym_open.envs.env import OpenEnv
+from gym_open.errors import ArtefactError
+from gym_open.formats.models import load_encoder, load_policy
+from gym_open.progress import bar
+from gym_open.train.config import EncoderTrainConfig, PolicyTrainConfig
+from gym_open.train.encoder import train_encoder
+from gym_open.train.policy import COLUMNS, _Trainer, train_policy
+from gym_open.train.tables import Tables
+
+NETWORK = EncoderConfig(features=16)
+TINY = PolicyTrainConfig(
+    steps=40, num_envs=2, num_steps=8, mean_images=3, encoder=NETWORK, threads=1,
+    ppo=PPOConfig(minibatch_size=8, update_epochs=1),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def encoder(release: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    config = EncoderTrainConfig(updates=2, batch_size=4, encoder=NETWORK, curl=CurlConfig(latent=4), threads=1)
+    return train_encoder(config, release, tmp_path_factory.mktemp("encoder") / "encoder").path
+
+
+def test_twice_gives_the_same_bytes(tmp_path: Path) -> None:
+    first, second = (train_policy(TINY, None, tmp_path / name) for name in ("a", "b"))
+    assert artefacts.digest(first.path) == artefacts.digest(second.path)
+    assert not train_policy(TINY, None, tmp_path / "a").made
+
+
+def test_payload_curve_and_lineage(tmp_path: Path) -> None:
+    path = train_policy(TINY, None, tmp_path / "p").path
+    found = json.loads((path / "curve.json").read_text())
+    assert found["columns"] == list(COLUMNS)
+    assert [row[0] for row in found["rows"]] == [16, 32, 48]  # 40 steps are rounded up to whole rollouts
+    record = artefacts.lineage(path)
+    assert (record.kind, record.parents) == ("policy", [])
+    assert record.facts == {"task": "goal-seeking", "steps": 48, "from_encoder": False}
+    assert load_policy(path).n_actions == 9
+
+
+def test_killed_and_resumed_is_as_if_never_killed(tmp_path: Path, kill_when: Callable[[str, Path], None]) -> None:
+    config = msgspec.structs.replace(TINY, steps=16 * 25)
+    whole = train_policy(config, None, tmp_path / "whole").path
+    cut = tmp_path / "cut"
+    settings = msgspec.json.encode(config).decode()
+    code = (
+        "import msgspec; from pathlib import Path; from gym_open.train.config import PolicyTrainConfig as C; "
+        "from gym_open.train.policy import train_policy; "
+        f"train_policy(msgspec.json.decode({settings!r}, type=C), None, Path({str(cut)!r}))"
+    )
+    kill_when(code, tmp_path / ".cut.partial" / "checkpoint" / "state.safetensors")
+    assert not cut.exists()
+    assert artefacts.digest(train_policy(config, None, cut).path) == artefacts.digest(whole)
+
+
+def test_from_an_encoder_keeps_its_mean_picture_and_starts_at_its_weights(encoder: Path, tmp_path: Path) -> None:
+    barely = msgspec.structs.replace(TINY, steps=1, ppo=PPOConfig(learning_rate=1e-12, minibatch_size=8))
+    path = train_policy(barely, encoder, tmp_path / "p").path
+    start, tuned = load_encoder(encoder), load_policy(path).encoder
+    assert torch.equal(tuned.mean_image, start.mean_image)
+    for a, b in zip(tuned.parameters(), start.parameters(), strict=True):
+        torch.testing.assert_close(a, b, atol=1e-8, rtol=0)
+    record = artefacts.lineage(path)
+    assert [parent.digest for parent in record.parents] == [artefacts.digest(encoder)]
+    assert record.facts["from_encoder"] is True
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"features": 32}, r"`encoder\.features` is 16, but .* 32"),
+        ({"pixel_scale": 1.0}, r"`encoder\.pixel_scale` is 20"),
+    ],
+)
+def test_an_encoder_of_another_shape_stops_it_before_any_work(
+    encoder: Path, tmp_path: Path, change: dict[str, float], message: str
+) -> None:
+    network: Config = msgspec.structs.replace(NETWORK, **change)
+    with pytest.raises(ArtefactError, match=message):
+        train_policy(msgspec.structs.replace(TINY, encoder=network), encoder, tmp_path / "p")
+    assert not list(tmp_path.iterdir())
+
+
+def test_annealing_ends_near_zero(tmp_path: Path) -> None:
+    config = msgspec.structs.replace(TINY, ppo=PPOConfig(minibatch_size=8, update_epochs=1, anneal_lr=True))
+    rows = json.loads((train_policy(config, None, tmp_path / "p").path / "curve.json").read_text())["rows"]
+    np.testing.assert_allclose([row[-1] for row in rows], [5e-4, 5e-4 * 2 / 3, 5e-4 / 3])
+
+
+def test_rollout_is_what_the_environments_did(tmp_path: Path) -> None:
+    """Play the recorded actions again in plain environments; no-ops only, so that episodes reach their budget."""
+    config = msgspec.structs.replace(TINY, num_steps=103, ppo=PPOConfig(precision="fp32"))
+    trainer = _Trainer(config, None, tmp_path / "none")
+    with torch.no_grad():
+        trainer.agent.actor.bias[0] = 100.0
+    with bar("test", 1) as shown:
+        rollout, episodes = trainer.collect(shown)
+
+    def value(image: np.ndarray) -> torch.Tensor:
+        with torch.no_grad():
+            return trainer.agent.get_value(trainer.agent.encoder.prepare(torch.from_numpy(image)[None]))[0]
+
+    assert rollout.truncations[99].all()
+    assert int(rollout.truncations.sum()) == len(episodes) == 2
+    assert not rollout.terminations.any()
+    assert [(e.total, e.length, e.success) for e in episodes] == [(0.0, 100, False)] * 2
+    for n in range(2):
+        env = OpenEnv("goal-seeking")
+        image, _ = env.reset(seed=seeding.integer(config.seed, "policy", "env", n))
+        for t in range(103):
+            assert np.array_equal(rollout.obs[t, n].numpy(), image)
+            image, reward, terminated, truncated, _ = env.step(int(rollout.actions[t, n]))
+            assert rollout.rewards[t, n] == reward
+            assert (bool(rollout.terminations[t, n]), bool(rollout.truncations[t, n])) == (terminated, truncated)
+            torch.testing.assert_close(rollout.next_values[t, n], value(image))
+            if terminated or truncated:
+                image, _ = env.reset()
+
+
+def random_play(tables: Tables, steps: int) -> list[object]:
+    rng, seen = np.random.default_rng(0), []
+    for _ in range(steps):
+        after = tables.step(rng.integers(9, size=2))
+        seen += [after.rewards.tolist(), after.truncations.tolist(), after.episodes, tables.images.tobytes()]
+    return seen
+
+
+def test_tables_go_on_from_a_snapshot_bit_for_bit() -> None:
+    tables = Tables("goal-seeking", 2, seed=0)
+    random_play(tables, 60)
+    state = json.loads(json.dumps(tables.state()))
+    expected = random_play(tables, 60)  # over the end of both episodes
+    other = Tables("goal-seeking", 2, seed=5)
+    other.restore(state)
+    assert random_play(other, 60) == expected
+
+
+def test_environments_differ_and_follow_the_seed() -> None:
+    a, b, c = Tables("goal-seeking", 2, seed=0), Tables("goal-seeking", 2, seed=0), Tables("goal-seeking", 2, seed=1)
+    assert np.array_equal(a.images, b.images)
+    assert not np.array_equal(a.images[0], a.images[1])
+    assert not np.array_equal(a.images, c.images)
+
+
+def test_success_is_a_rewarded_end() -> None:
+    """Avoidance ends without reward in the danger patch: that is no success."""
+    tables = Tables("avoidance", 8, seed=0)
+    rng = np.random.default_rng(0)
+    episodes = [e for _ in range(150) for e in tables.step(rng.integers(9, size=8)).episodes]
+    assert any(e.success for e in episodes)
+    assert any(not e.success and e.length < 100 for e in episodes)
+    assert all(e.success == (e.total > 0) for e in episodes)
