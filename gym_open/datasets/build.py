@@ -84,9 +84,10 @@ def write_release(config: ReleaseConfig, logs: "Sequence[Log]", folder: Path) ->
 
 
 def _segments(config: ReleaseConfig, logs: "Sequence[Log]", val: frozenset[str], split: Split) -> "Iterator[Segment]":
-    if split == "val" and not val:
-        return
     for log in logs:
+        visited = [log.puzzles[switch.to_world].digest for switch in log.switches if switch.to_world >= 0]
+        if all(split_of(config, log.stream, puzzle, val) != split for puzzle in visited):
+            continue  # spares reading the whole log again
         for segment in log.segments():
             if split_of(config, log.stream, segment.puzzle.digest, val) == split:
                 yield segment

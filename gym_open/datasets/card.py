@@ -60,7 +60,7 @@ from.
 - Nothing terminates in play: `next.done` is always False, `next.truncated` marks the last action and the frame after.
 - `next.reward` is the extrinsic reward, which is always 0. `reward.intrinsic` is the explorer's own.
 - Splits go by {split_by}, never by step: neighbouring frames are near copies. Draw validation data from `val` only.
-- `world_model.loss` is that of the explorer's world model at the time; it is not comparable between streams.
+- `world_model.loss` is the explorer's own at that moment of its learning: later it would be another for the same frame.
 - Statistics (`meta/stats.json`) are over all frames, the last ones of episodes included.
 """
 
