@@ -32,6 +32,8 @@ WALL_HEIGHT: Final = 0.1
 WALL_THICKNESS: Final = 0.01
 CORNER: Final = (0.589, 1.0725)
 """Middle (x, y) of the 45° corner pieces, in each quadrant."""
+LID_HEIGHT: Final = 0.18
+"""Cubes and goals, but not the agent, are kept under an unseen lid; a cube standing on its corner is 0.173 high."""
 
 # Placement grid: row i goes towards −y, column j towards +x
 ROWS: Final = 16

@@ -33,6 +33,8 @@ _FIRM = "0.99 0.99 0.001"
 _FRICTION = 0.35
 _ROLLING = 0.003
 
+_CORNERS = (("north_east", 1, 1), ("north_west", -1, 1), ("south_east", 1, -1), ("south_west", -1, -1))
+
 
 def kind_of(name: str) -> str:
     """Kind of an inventory object: "heavy" of "heavy_3"."""
@@ -66,6 +68,7 @@ def model_xml() -> str:
     <default class="unseen">
       <geom contype="2" conaffinity="1" priority="1" group="4" solref="{_BOUNCE_SCENERY}"/>
     </default>
+    <default class="lid"><geom contype="4" conaffinity="0" priority="1" group="4" solref="{_NO_BOUNCE}"/></default>
   </default>
   <worldbody>
     <light type="directional" dir="{_text(c.LIGHT_DIRECTION)}" pos="0 0 5" castshadow="false" \
@@ -73,6 +76,7 @@ diffuse="{_text([c.LIGHT_DIFFUSE] * 3)}" ambient="{_text([c.LIGHT_AMBIENT] * 3)}
     <camera name="observation" pos="{_text(c.CAMERA_POSITION)}" xyaxes="{_text(c.camera_axes()[:2].ravel())}" \
 fovy="{c.FIELD_OF_VIEW}"/>
 {_indent(_table())}
+{_indent(_keep_in())}
 {_indent(_pieces())}
 {_indent(_objects())}
   </worldbody>
@@ -100,31 +104,37 @@ def _table() -> list[str]:
         _box("table", (0, 0, -0.02), (edge_x, edge_y, 0.02), "table", kind="seen"),
     ]
     for name, place, size in (
-        ("wall_east", (x, 0, high), (thin, edge_y, high)),
-        ("wall_west", (-x, 0, high), (thin, edge_y, high)),
-        ("wall_north", (0, y, high), (c.WALL_X, thin, high)),
-        ("wall_south", (0, -y, high), (c.WALL_X, thin, high)),
+        ("east", (x, 0, high), (thin, edge_y, high)),
+        ("west", (-x, 0, high), (thin, edge_y, high)),
+        ("north", (0, y, high), (c.WALL_X, thin, high)),
+        ("south", (0, -y, high), (c.WALL_X, thin, high)),
     ):
-        lines.append(_box(name, place, size, "wall"))
-    for sx in (-1, 1):
-        for sy in (-1, 1):
-            # A piece long enough to reach both walls, its inner face through the original's middle point.
-            half = _corner_half_length()
-            place = (sx * (c.CORNER[0] + thin / np.sqrt(2)), sy * (c.CORNER[1] + thin / np.sqrt(2)), high)
-            turn = -sx * sy * np.pi / 4
-            name = f"corner_{'north' if sy > 0 else 'south'}_{'east' if sx > 0 else 'west'}"
-            lines.append(_box(name, place, (half, thin, high), "wall", euler=(0, 0, turn)))
-            over = (*place[:2], c.WALL_HEIGHT + 0.02 + 1.5)
-            lines.append(_box(f"keep_{name}", over, (half, thin, 1.5), "wall", kind="unseen", euler=(0, 0, turn)))
-    tall = 1.5
-    for name, place, size in (
-        ("keep_east", (c.WALL_X + tall, 0), (tall, edge_y + tall)),
-        ("keep_west", (-c.WALL_X - tall, 0), (tall, edge_y + tall)),
-        ("keep_north", (0, c.WALL_Y + tall), (c.WALL_X, tall)),
-        ("keep_south", (0, -c.WALL_Y - tall), (c.WALL_X, tall)),
-    ):
-        # Flush with the inner faces of the visible walls and above them, so that nothing comes to rest on a wall.
-        lines.append(_box(name, (*place, c.WALL_HEIGHT + 0.02 + tall), (*size, tall), "wall", kind="unseen"))
+        lines.append(_box(f"seen_wall_{name}", place, size, "wall", kind="seen"))
+    for name, sx, sy in _CORNERS:
+        place = sx * (c.CORNER[0] + thin / np.sqrt(2)), sy * (c.CORNER[1] + thin / np.sqrt(2)), high
+        size = _corner_half_length(), thin, high
+        lines.append(_box(f"seen_corner_{name}", place, size, "wall", kind="seen", euler=(0, 0, -sx * sy * np.pi / 4)))
+    return lines
+
+
+def _keep_in() -> list[str]:
+    """What the walls are to touch: thick, and so high that nothing gets over them, flush with the visible ones.
+
+    A lid keeps cubes and goals, not the agent, from coming to rest on one another.
+    """
+    high, thick = 1.0, 0.5
+    x, y = c.WALL_X + thick, c.WALL_Y + thick
+    lines = [
+        _box("wall_east", (x, 0, high), (thick, y + thick, high), "wall", kind="unseen"),
+        _box("wall_west", (-x, 0, high), (thick, y + thick, high), "wall", kind="unseen"),
+        _box("wall_north", (0, y, high), (c.WALL_X, thick, high), "wall", kind="unseen"),
+        _box("wall_south", (0, -y, high), (c.WALL_X, thick, high), "wall", kind="unseen"),
+        _box("lid", (0, 0, c.LID_HEIGHT + thick), (c.WALL_X, c.WALL_Y, thick), "wall", kind="lid"),
+    ]
+    for name, sx, sy in _CORNERS:
+        place = sx * (c.CORNER[0] + thick / np.sqrt(2)), sy * (c.CORNER[1] + thick / np.sqrt(2)), high
+        size = _corner_half_length() + thick, thick, high
+        lines.append(_box(f"corner_{name}", place, size, "wall", kind="unseen", euler=(0, 0, -sx * sy * np.pi / 4)))
     return lines
 
 
@@ -181,12 +191,12 @@ def _objects() -> list[str]:
         kind = kind_of(name)
         shape = {"agent": "sphere", "yellow": "sphere", "green": "sphere"}.get(kind, "box")
         size = f"{c.RADIUS}" if shape == "sphere" else _text([c.RADIUS] * 3)
-        rest = "never" if kind == "agent" else "allowed"
+        rest, touches = ("never", 3) if kind == "agent" else ("allowed", 7)
         look = f'type="{shape}" size="{size}" rgba="{rgba(c.COLOUR[kind])}"'
         lines += [
             f'<body name="{name}" pos="{_text(parking_place(index))}" sleep="{rest}">',
             f'  <freejoint name="{name}"/>',
-            f'  <geom name="{name}" {look} mass="{c.MASS[kind]}" contype="1" conaffinity="3"/>',
+            f'  <geom name="{name}" {look} mass="{c.MASS[kind]}" contype="1" conaffinity="{touches}"/>',
             "</body>",
         ]
     return lines
