@@ -20,6 +20,7 @@ from gym_open.config import Config, check, load
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.errors import GymOpenError
 from gym_open.evaluate.config import EvaluateConfig
+from gym_open.summary import probe_table, proof_text, score_table, short
 from gym_open.train.config import EncoderTrainConfig, PolicyTrainConfig, ProbeConfig
 from gym_open.viz.config import VizConfig
 
@@ -58,11 +59,6 @@ def report(made: artefacts.Outcome, *then: str) -> None:
     out.print(f"[bold green]{verb}[/] {short(made.path)}  (digest {artefacts.digest(made.path)[:16]})", soft_wrap=True)
     for line in then:
         out.print(f"  next: {line}", highlight=False, soft_wrap=True)
-
-
-def short(path: Path) -> str:
-    """The path as a person would type it here."""
-    return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,7 +176,6 @@ class TrainProbe(StageCommand):
 
     def run(self) -> None:
         """Probe."""
-        from gym_open.summary import probe_table
         from gym_open.train.probe import probe
 
         made = probe(self.settings, self.encoder, self.place(self.out, "train/probes", self.encoder.name))
@@ -207,7 +202,6 @@ class Evaluate(StageCommand):
     def run(self) -> None:
         """Evaluate."""
         from gym_open.evaluate.play import evaluate
-        from gym_open.summary import proof_text, score_table
 
         name = self.policy.name if self.policy else f"{self.settings.task}-random"
         made = evaluate(self.settings, self.policy, self.place(self.out, "evaluate/scores", name))

@@ -19,7 +19,7 @@ from gym_open.collect.config import CollectConfig
 from gym_open.config import Config, check, load
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.evaluate.config import EvaluateConfig
-from gym_open.summary import PAPER_NOTE, probe_table, proof_text, score_table, stage_table
+from gym_open.summary import PAPER_NOTE, probe_table, proof_text, score_table, short, stage_table
 from gym_open.train.config import EncoderTrainConfig, PolicyTrainConfig, ProbeConfig
 from gym_open.viz.config import VizConfig
 
@@ -103,11 +103,11 @@ def run(root: Path, seed: int, console: Console) -> None:
     for name, path in scores.items():
         console.print(proof_text(name, path), highlight=False)
     console.print(f"({PAPER_NOTE})\ntotal {time.perf_counter() - started:.0f} s", highlight=False)
-    console.print(f"\ncurves: {figure / 'run.png'}", highlight=False, soft_wrap=True)
+    console.print(f"\ncurves: {short(figure)}/run.png", highlight=False, soft_wrap=True)
     for line in (
-        f"rerun {recording / 'recording.rrd'}",
-        f"gym-open viz {release} --save release.rrd",
-        f"gym-open train policy --config {root / 'train/policy-goal-seeking-400k.toml'} --encoder {encoder}",
+        f"rerun {short(recording)}/recording.rrd",
+        f"gym-open viz {short(release)} --save release.rrd",
+        f"gym-open train policy --config {root / 'train/policy-goal-seeking-400k.toml'} --encoder {short(encoder)}",
         f"gym-open run --workspace {root} --seed {seed + 1}",
     ):
         console.print(f"next: {line}", highlight=False, soft_wrap=True)
@@ -138,7 +138,7 @@ def _learn_the_task(
     probed = journal.stage("train probe", lambda: probe(plan.probe, encoder, root / f"train/probes/curl-seed{seed}"))
     task = plan.policy.task
     policies: dict[str, Path | None] = {}
-    for name, start in (("from CURL encoder", encoder), ("from scratch", None)):
+    for name, start in (("from encoder", encoder), ("from scratch", None)):
         folder = root / f"train/policies/{task}-{'curl' if start else 'scratch'}-seed{seed}"
         policies[f"PPO {name}"] = journal.stage(
             f"train policy {name}", lambda start=start, folder=folder: train_policy(plan.policy, start, folder)

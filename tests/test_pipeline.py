@@ -79,7 +79,7 @@ def test_everything_that_a_run_promises_is_there(finished: tuple[Path, str]) -> 
         "viz/figures/run-seed0/run.png",
     ):
         assert (root / name).stat().st_size > 0
-    for words in ("A-Success", "PPO from CURL encoder", "PPO from scratch", "random", "linear probe", "next: rerun"):
+    for words in ("A-Success", "PPO from encoder", "PPO from scratch", "random", "linear probe", "next: rerun"):
         assert words in shown
     assert not list(root.rglob(".*.partial*"))
     assert not list(root.rglob("*.lock"))

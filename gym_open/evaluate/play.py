@@ -63,7 +63,7 @@ def evaluate(config: EvaluateConfig, policy: Path | None, out: Path) -> artefact
         episodes = play(actor, config.task, puzzles, config)
         scores = summarise(episodes)
         proof = task_free_proof(None if policy is None else artefacts.lineage(policy))
-        agent = "random" if policy is None else "policy"
+        agent = _agent(policy)
         record = {"agent": agent, "task": config.task, "actions": config.actions, **scores, "proof": proof}
         (partial / "scores.json").write_bytes(artefacts.canonical_json(record))
         _write_episodes(partial / "episodes.parquet", config.task, puzzles, episodes)
@@ -115,6 +115,12 @@ def summarise(episodes: Episodes) -> dict[str, Any]:
         "mean_steps": float(episodes.steps.mean()),
         "puzzles": len(per_puzzle),
     }
+
+
+def _agent(policy: Path | None) -> str:
+    if policy is None:
+        return "random"
+    return "PPO from encoder" if artefacts.lineage(policy).parents else "PPO from scratch"
 
 
 def _uniform(images: np.ndarray) -> np.ndarray:
