@@ -58,18 +58,24 @@ def draw_run_figure(log: Path, others: Sequence[Path], save: Path) -> Path:
 
 
 def _exploration(axes: "Axes", log: Path) -> None:
+    from matplotlib.ticker import LogFormatter
+
     summary, config = _read(log / "summary.json"), artefacts.config_of(log)
     curve = _columns(summary["curve"])
-    axes.set(title="Exploration in the sandbox, no reward", xlabel="steps of all streams", ylabel="loss (nats)")
+    unit = "loss (nats of InfoNCE)" if "curl" in config.get("explorer", "") else "loss"
+    axes.set(title="Exploration in the sandbox, no reward", xlabel="steps of all streams", ylabel=unit)
     if len(curve["step"]):
         axes.plot(curve["step"], curve["world_model_loss"], color=LOSS, label="world model's loss in training")
         axes.plot(curve["step"], curve["world_loss"], color=MEASURED, linewidth=1.8, label="of the worlds in play")
-    axes.axhline(config["threshold"], color=THRESHOLD, linestyle="--", label="threshold: world learned")
+    if config["threshold"] > 0:
+        axes.axhline(config["threshold"], color=THRESHOLD, linestyle="--", label="threshold: world learned")
     if at := _switch_steps(summary["segments"]):
         label = f"switch of world ({len(at)})"
         floor = axes.get_xaxis_transform()
         axes.plot(at, np.full(len(at), 0.02), "|", color=SWITCH, markersize=10, transform=floor, label=label)
-    axes.set_ylim(bottom=0)
+    axes.set_yscale("log")  # the loss falls by a factor of 20 and is decided on near the threshold
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.5)))
 
 
 def _switch_steps(segments: list[dict[str, Any]]) -> list[int]:
@@ -92,11 +98,13 @@ def _fine_tuning(axes: "Axes", policies: Sequence[Path], task: str) -> None:
         name = ENCODER if artefacts.lineage(path).facts["from_encoder"] else SCRATCH
         there = np.isfinite(curve["mean_return"])
         axes.plot(curve["step"][there], curve["mean_return"][there], **STYLES[name], markersize=3, label=name)
+    axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))  # so that a small difference looks small
 
 
 def _score(axes: "Axes", scores: Sequence[Path], task: str) -> None:
     axes.set(title=f"{task}, 100 fixed puzzles", xlabel="actions i", ylabel="mean return within i actions")
     axes.set_xscale("log")
+    axes.xaxis.set_major_formatter("{x:g}")
     for path in scores:
         record, name = _read(path / "scores.json"), _scored(artefacts.lineage(path))
         within = np.asarray(record["mean_return_within"])
