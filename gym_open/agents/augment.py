@@ -20,15 +20,21 @@ def random_shift(prepared: Tensor, pad: int, generator: torch.Generator) -> Tens
     if pad == 0:
         return prepared
     height, width = prepared.shape[-2:]
-    shifts = torch.randint(-pad, pad + 1, (len(prepared), 2), generator=generator)
     shifted = torch.zeros_like(prepared)
-    for target, source, (down, right) in zip(shifted, prepared, shifts.tolist(), strict=True):
-        to_rows, from_rows = _overlap(down, height)
-        to_columns, from_columns = _overlap(right, width)
+    for target, source, (down, right) in zip(
+        shifted, prepared, draw_shifts(len(prepared), pad, generator), strict=True
+    ):
+        to_rows, from_rows = overlap(down, height)
+        to_columns, from_columns = overlap(right, width)
         target[:, to_rows, to_columns] = source[:, from_rows, from_columns]
     return shifted
 
 
-def _overlap(shift: int, size: int) -> tuple[slice, slice]:
+def draw_shifts(n: int, pad: int, generator: torch.Generator) -> list[list[int]]:
+    """Shifts (down, right) of n pictures, each uniform in −pad…pad."""
+    return torch.randint(-pad, pad + 1, (n, 2), generator=generator).tolist()
+
+
+def overlap(shift: int, size: int) -> tuple[slice, slice]:
     """Where pixels land, and where they come from, when an axis of `size` moves by `shift`."""
     return slice(max(shift, 0), size + min(shift, 0)), slice(max(-shift, 0), size + min(-shift, 0))

@@ -6,7 +6,6 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from gym_open.agents.augment import random_shift
 from gym_open.agents.config import CurlConfig
 from gym_open.agents.encoder import Encoder, init_layer
 
@@ -47,10 +46,9 @@ class Curl(nn.Module):
         Returns:
             (B, B): row i compares query i with every key.
         """
-        prepared = self.encoder.prepare(images)
-        query = self.projection(self.encoder(random_shift(prepared, self.config.pad, generator)))
+        query = self.projection(self.encoder(self.encoder.prepare_shifted(images, self.config.pad, generator)))
         with torch.no_grad():
-            key = self.key(random_shift(prepared, self.config.pad, generator))
+            key = self.key(self.encoder.prepare_shifted(images, self.config.pad, generator))
         logits = query.float() @ self.W @ key.float().T
         return logits - logits.max(dim=1, keepdim=True).values.detach()
 

@@ -5,6 +5,7 @@ import math
 import torch
 from torch import Tensor, nn
 
+from gym_open.agents.augment import draw_shifts, overlap
 from gym_open.agents.config import EncoderConfig, Precision
 
 IMAGE_SHAPE = (84, 84, 3)
@@ -73,6 +74,31 @@ class Encoder(nn.Module):
         """
         mean = self.mean_image.permute(1, 2, 0).contiguous()
         return torch.sub(images, mean).mul_(self.config.pixel_scale / 255).permute(0, 3, 1, 2)
+
+    def prepare_shifted(self, images: Tensor, pad: int, generator: torch.Generator) -> Tensor:
+        """`random_shift(prepare(images), pad, generator)` in one pass, a third of the time.
+
+        Args:
+            images: (B, 84, 84, 3) uint8.
+            pad: largest shift in pixels.
+            generator: source of the shifts.
+
+        Returns:
+            (B, 3, 84, 84) in channels-last memory order; bf16 inside `autocast("bf16")`, else float32.
+        """
+        height, width, _ = IMAGE_SHAPE
+        scale = self.config.pixel_scale / 255
+        offset = (-scale * self.mean_image).permute(1, 2, 0).contiguous()
+        low = torch.is_autocast_enabled("cpu")
+        shifted = torch.zeros(images.shape, dtype=torch.bfloat16 if low else torch.float32)
+        for target, source, (down, right) in zip(
+            shifted, images, draw_shifts(len(images), pad, generator), strict=True
+        ):
+            to_rows, from_rows = overlap(down, height)
+            to_columns, from_columns = overlap(right, width)
+            window = from_rows, from_columns
+            torch.add(offset[window], source[window], alpha=scale, out=target[to_rows, to_columns])
+        return shifted.permute(0, 3, 1, 2)
 
     def forward(self, prepared: Tensor) -> Tensor:
         """Features (B, features) of prepared pictures (B, 3, 84, 84)."""

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from gym_open.agents.augment import random_shift
 from gym_open.agents.config import PPOConfig
 from gym_open.agents.encoder import autocast
 from gym_open.agents.policy import ActorCritic
@@ -135,8 +134,8 @@ def ppo_update(
     for _epoch in range(config.update_epochs):
         approx_kl = torch.zeros(())
         for mb_inds in torch.randperm(len(b_obs), generator=generator).split(config.minibatch_size):
-            prepared = random_shift(agent.encoder.prepare(b_obs[mb_inds]), config.shift_pad, generator)
             with autocast(config.precision):
+                prepared = agent.encoder.prepare_shifted(b_obs[mb_inds], config.shift_pad, generator)
                 _, newlogprob, entropy, newvalue = agent.get_action_and_value(prepared, b_actions[mb_inds])
             logratio = newlogprob - b_logprobs[mb_inds]
             mb_advantages = b_advantages[mb_inds]

@@ -105,3 +105,17 @@ def test_random_shift_keeps_memory_order_and_is_repeatable() -> None:
     assert torch.equal(a, b)
     assert a.is_contiguous(memory_format=torch.channels_last)
     assert random_shift(x, 0, torch.Generator()) is x
+
+
+@pytest.mark.parametrize("pad", [0, 5])
+def test_shifting_and_preparing_in_one_pass_is_the_same(pad: int) -> None:
+    net, images = encoder(), pictures(6)
+    net.set_mean_image(images[:4])
+    expected = random_shift(net.prepare(images), pad, torch.Generator().manual_seed(1))
+    found = net.prepare_shifted(images, pad, torch.Generator().manual_seed(1))
+    torch.testing.assert_close(found, expected, atol=1e-4, rtol=0)
+    assert found.is_contiguous(memory_format=torch.channels_last)
+    with autocast("bf16"):
+        low = net.prepare_shifted(images, pad, torch.Generator().manual_seed(1))
+    assert low.dtype == torch.bfloat16
+    torch.testing.assert_close(low.float(), expected, atol=0.05, rtol=0.01)
