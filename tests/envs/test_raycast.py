@@ -1,0 +1,243 @@
+"""The ray caster against closed forms, brute force over all pixels and, where GL is, MuJoCo's renderer."""
+
+import ctypes
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numba
+import numpy as np
+import pytest
+from numba.core import config as numba_config
+from PIL import Image
+
+from gym_open.envs import constants as c
+from gym_open.envs import jit
+from gym_open.envs.puzzles import SIDES, TASKS, Patch, Pen, Placement, Puzzle, arranged
+from gym_open.envs.raycast import Shapes, empty_picture, observation_camera, paint, rotations
+from gym_open.envs.test_set import test_puzzles as fixed_puzzles
+from gym_open.envs.world import World
+
+
+def on_screen(point: np.ndarray) -> np.ndarray:
+    """Image coordinates (x, y) in pixels of a point in space, by the plain pinhole formula."""
+    camera = observation_camera()
+    across, up, ahead = camera.axes @ (point - camera.position)
+    half = np.tan(np.deg2rad(30)) * ahead
+    return np.array([(1 + across / half) * c.IMAGE_SIZE / 2, (1 - up / half) * c.IMAGE_SIZE / 2])
+
+
+def centre_of(mask: np.ndarray) -> np.ndarray:
+    return np.argwhere(mask).mean(axis=0)[::-1] + 0.5
+
+
+def test_camera_axes_are_the_originals() -> None:
+    right, up, forward = c.camera_axes()
+    np.testing.assert_allclose(np.cross(right, up), -forward, atol=1e-12)  # right-handed, looking along −z
+    yaw, pitch = np.deg2rad(25.489), np.deg2rad(43.376)
+    expected = np.sin(yaw) * np.cos(pitch), np.cos(yaw) * np.cos(pitch), -np.sin(pitch)
+    np.testing.assert_allclose(forward, expected, atol=1e-12)
+    assert right[2] == pytest.approx(np.sin(np.deg2rad(1.481)) * np.cos(pitch), abs=1e-12)
+
+
+def test_every_cell_of_the_table_is_in_the_picture() -> None:
+    for row in range(c.ROWS):
+        for column in range(c.COLUMNS):
+            point = on_screen(np.array([*c.cell_centre(row, column), c.RADIUS]))
+            assert (point > 1).all()
+            assert (point < c.IMAGE_SIZE - 1).all()
+
+
+@pytest.mark.parametrize("cell", [(1, 1), (1, 7), (8, 4), (14, 1), (14, 7)])
+def test_objects_are_seen_where_they_are(cell: tuple[int, int]) -> None:
+    world = World()
+    away = (5, 2) if cell != (5, 2) else (6, 6)
+    for kind in ("yellow", "green", "heavy", "light"):
+        world.load(Puzzle("sandbox", arranged([Placement("agent", *away), Placement(kind, *cell)])))
+        name = f"{kind}_0"
+        seen = world.segmentation() == world.model.geom(name).id
+        assert 4 <= seen.sum() <= 60
+        point = np.array([*c.cell_centre(*cell), c.RADIUS])
+        assert np.abs(centre_of(seen) - on_screen(point)).max() < 1
+        # It is drawn in its own colour, lit between the even light alone and both lights.
+        pixels = world.observe()[seen].astype(float) / np.array(c.COLOUR[kind])
+        assert (pixels.max(axis=0) <= c.LIGHT_AMBIENT + c.LIGHT_DIFFUSE + 0.05).all()
+        assert (pixels.min(axis=0) >= c.LIGHT_AMBIENT - 0.05).all()
+
+
+def random_shapes(rng: np.random.Generator, count: int) -> Shapes:
+    quaternion = rng.normal(size=(count, 4))
+    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+    turns = np.empty((count, 3, 3))
+    rotations(quaternion, turns)
+    position = rng.uniform([-0.6, -1, 0], [0.6, 1, 0.3], (count, 3))
+    sphere = rng.random(count) < 0.5
+    size = np.where(sphere[:, None], rng.uniform(0.03, 0.2, (count, 1)), rng.uniform(0.02, 0.3, (count, 3)))
+    return Shapes(position, turns, size, sphere, rng.uniform(0, 255, (count, 3)), np.arange(count, dtype=np.int32))
+
+
+def brute_depth(shapes: Shapes, i: int) -> np.ndarray:
+    """Depth of one shape at every pixel, by numpy formulas that share nothing with the ray caster."""
+    camera = observation_camera()
+    rays = camera.rays
+    start = camera.position - shapes.position[i]
+    if shapes.sphere[i]:
+        a, b = (rays**2).sum(-1), 2 * rays @ start
+        under = b**2 - 4 * a * (start @ start - shapes.size[i, 0] ** 2)
+        with np.errstate(invalid="ignore"):
+            return np.where(under > 0, (-b - np.sqrt(under)) / (2 * a), np.inf)
+    local_start, local_rays = shapes.rotation[i].T @ start, rays @ shapes.rotation[i]
+    depth = np.full(rays.shape[:2], np.inf)
+    for axis in range(3):
+        for side in (-1, 1):  # the rays' crossings of each face's plane that lie on the face
+            t = (side * shapes.size[i, axis] - local_start[axis]) / local_rays[..., axis]
+            others = [k for k in range(3) if k != axis]
+            crossing = local_start + t[..., None] * local_rays
+            on_face = (np.abs(crossing[..., others]) <= shapes.size[i, others] + 1e-12).all(-1) & (t > 0)
+            depth = np.where(on_face, np.minimum(depth, t), depth)
+    return depth
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_rectangles_cut_nothing_off(seed: int) -> None:
+    shapes = random_shapes(np.random.default_rng(seed), 12)
+    picture = empty_picture()
+    paint(shapes, 12, observation_camera(), picture)
+    depths = np.array([brute_depth(shapes, i) for i in range(12)])
+    np.testing.assert_allclose(picture.depth, depths.min(axis=0), rtol=1e-9)
+    labels = np.where(np.isinf(depths.min(axis=0)), -1, depths.argmin(axis=0))
+    assert (picture.label == labels).mean() > 0.9999
+    assert not picture.rgb[picture.label == -1].any()
+
+
+def test_rotations_are_mujocos() -> None:
+    rng = np.random.default_rng(0)
+    quaternion = rng.normal(size=(20, 4))
+    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+    ours, theirs = np.empty((20, 3, 3)), np.empty(9)
+    rotations(quaternion, ours)
+    for q, turn in zip(quaternion, ours, strict=True):
+        mujoco.mju_quat2Mat(theirs, q)
+        np.testing.assert_allclose(turn, theirs.reshape(3, 3), atol=1e-12)
+
+
+def test_shading_is_lamberts() -> None:
+    shapes = Shapes(
+        np.zeros((1, 3)),
+        np.eye(3)[None],
+        np.full((1, 3), 0.2),
+        np.zeros(1, bool),
+        np.full((1, 3), 200.0),
+        np.zeros(1, np.int32),
+    )
+    picture = empty_picture()
+    paint(shapes, 1, observation_camera(), picture)
+    light = -np.array(c.LIGHT_DIRECTION) / np.linalg.norm(c.LIGHT_DIRECTION)
+    facing = (light[2], -light[1], -light[0])  # top, front and left side: what this camera sees
+    expected = sorted(round(200 * (c.LIGHT_AMBIENT + c.LIGHT_DIFFUSE * max(cosine, 0.0))) for cosine in facing)
+    np.testing.assert_allclose(np.unique(picture.rgb[picture.label == 0]), expected, atol=1)
+
+
+def test_goals_show_that_they_were_hit_only_if_told_to() -> None:
+    puzzle = Puzzle("sandbox", arranged([Placement("agent", 8, 3), Placement("yellow", 8, 4)]))
+    world = World()
+    for recolour in (True, False):
+        world.load(puzzle, recolour_hits=recolour)
+        assert world.step(1).hits == ("yellow_0",)
+        pixels = world.observe()[world.segmentation() == world.model.geom("yellow_0").id]
+        red, blue = pixels[:, 0].mean(), pixels[:, 2].mean()
+        assert (blue > red) == recolour
+
+
+def test_out_is_filled_and_returned() -> None:
+    world = World()
+    world.load(fixed_puzzles("tool-use")[0])
+    out = np.zeros((84, 84, 3), np.uint8)
+    assert world.observe(out) is out
+    np.testing.assert_array_equal(out, world.observe())
+    assert world.observe() is not world.observe()
+
+
+def test_patch_pen_and_ramp_are_seen() -> None:
+    world = World()
+    cell = c.cell_centre(8, 4)
+    for side, (i, j) in SIDES.items():
+        world.load(Puzzle("sandbox", arranged([Placement("agent", 8 - i, 4 - j)]), pen=Pen(8, 4, side), patch=None))
+        seen = world.segmentation()
+        assert all((seen == world.model.geom(f"pen_{name}").id).sum() > 20 for name in SIDES)
+        platform = seen == world.model.geom("ramp_platform").id
+        towards = on_screen(np.array([cell[0] + 0.225 * j, cell[1] - 0.225 * i, c.RAMP_HEIGHT]))
+        assert np.abs(centre_of(platform) - towards).max() < 2
+    world.load(Puzzle("sandbox", arranged([Placement("agent", 1, 1)]), patch=Patch(8, 4)))
+    seen = world.segmentation() == world.model.geom("patch").id
+    assert np.abs(centre_of(seen) - on_screen(np.array([*cell, 0]))).max() < 1
+    assert (world.observe()[seen].mean(axis=0).argsort() == [2, 1, 0]).all()  # orange
+
+
+def test_without_a_cache_folder_it_still_compiles(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[object] = []
+    real: Any = numba.njit
+
+    def refusing(**options: Any) -> Any:
+        calls.append(options)
+        if len(calls) == 1:
+            raise RuntimeError("cannot cache function: no locator available")
+        return real(**{**options, "cache": False})
+
+    monkeypatch.setattr(numba, "njit", refusing)
+    monkeypatch.setattr(numba_config, "CACHE_DIR", "")
+    assert jit.compiled(lambda x: x + 1)(2) == 3
+    assert vars(numba_config)["CACHE_DIR"].endswith("gym-open-numba")
+
+
+def gl_backend() -> str | None:
+    """The MUJOCO_GL value whose libraries load here."""
+    for backend, libraries in (("egl", ("libEGL.so.1", "libOpenGL.so.0")), ("osmesa", ("libOSMesa.so.8",))):
+        try:
+            for library in libraries:
+                ctypes.CDLL(library)
+        except OSError:
+            continue
+        return backend
+    return None
+
+
+def test_parity_with_mujocos_renderer(tmp_path: Path) -> None:
+    backend = gl_backend()
+    if backend is None:
+        pytest.skip("no OpenGL here: on Debian, apt-get install libegl1 libopengl0 libgl1-mesa-dri")
+    rng = np.random.default_rng(0)
+    world = World()
+    ours, labels, states = [], [], []
+    for task in TASKS:
+        for puzzle in fixed_puzzles(task)[::10]:
+            world.load(puzzle)
+            for action in rng.integers(1, 9, 8):
+                world.step(int(action))
+            ours.append(world.observe())
+            labels.append(world.segmentation())
+            states.append([array.copy() for array in (world.data.qpos, world.data.mocap_pos, world.data.mocap_quat)])
+    given, made = tmp_path / "states.npz", tmp_path / "pictures.npz"
+    np.savez(
+        given, **dict(zip(("qpos", "mocap_pos", "mocap_quat"), map(np.array, zip(*states, strict=True)), strict=True))
+    )
+    command = [sys.executable, str(Path(__file__).with_name("reference_renderer.py")), str(given), str(made)]
+    done = subprocess.run(
+        command, env={**os.environ, "MUJOCO_GL": backend}, capture_output=True, text=True, check=False
+    )
+    if done.returncode == 3:
+        pytest.skip(f"OpenGL libraries are here, but no context: {done.stdout.strip()}")
+    assert done.returncode == 0, done.stderr
+    theirs = np.load(made)
+    difference = np.abs(np.array(ours).astype(int) - theirs["images"])
+    same = np.array(labels) == theirs["labels"]
+    assert same.mean() > 0.999
+    assert difference.mean() < 0.05
+    assert np.quantile(difference[same], 0.9999) <= 3
+    if (same.mean(axis=(1, 2)) < 0.998).any():  # something to look at
+        worst = same.mean(axis=(1, 2)).argmin()
+        Image.fromarray(np.concatenate([ours[worst], theirs["images"][worst]], axis=1)).save(tmp_path / "worst.png")
+        raise AssertionError(f"picture {worst} differs: see {tmp_path / 'worst.png'}")
