@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from gymnasium.utils.seeding import np_random
 
 import gym_open
 from gym_open.envs import constants as c
@@ -144,7 +145,7 @@ def test_danger_ends_the_episode_unpaid_even_with_a_hit_in_the_same_step() -> No
     # A goal just inside the patch is hit by the very step that enters it.
     env.reset(options={"puzzle": start})
     env.step(NORTH)
-    env.world.data.qpos[7:9] = c.cell_centre(9, 4)[0], c.cell_centre(9, 4)[1] - 0.05
+    env.world.data.qpos[7:9] = c.cell_centre(9, 4)[0], c.cell_centre(9, 4)[1] - 0.065
     _, reward, terminated, truncated, info = env.step(NORTH)
     assert info["hits"] == ("yellow_0",)
     assert (reward, terminated, truncated) == (0.0, True, False)
@@ -212,7 +213,7 @@ def test_sandbox_configuration_reaches_the_draws() -> None:
 
 
 def made_generator(seed: int) -> np.random.Generator:
-    return gymnasium.utils.seeding.np_random(seed)[0]
+    return np_random(seed)[0]
 
 
 def test_vector_of_environments() -> None:
