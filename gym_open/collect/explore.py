@@ -149,18 +149,23 @@ class Exploration:
         self.record.rollouts += 1
         self.record.steps += length * self.config.streams
         entropy = torch.stack([one.entropy for one in acted[:-1]])
-        self._log(rollout, entropy, played, images)
+        losses = self._log(rollout, entropy, played, images)
+        reward = float(rollout.rewards.mean())
         self.record.curve.append(
-            [self.record.steps, stats.world_model_loss, float(rollout.rewards.mean()), float(entropy.mean())]
+            (self.record.steps, stats.world_model_loss, float(np.mean(losses)), reward, float(entropy.mean()))
         )
         return stats
 
-    def _log(self, rollout: Rollout, entropy: torch.Tensor, played: list[list[Played]], images: np.ndarray) -> None:
-        """Measure the loss of each world that was played in, and log the steps with it."""
+    def _log(
+        self, rollout: Rollout, entropy: torch.Tensor, played: list[list[Played]], images: np.ndarray
+    ) -> list[float]:
+        """Measure the loss of each world that was played in, and log the steps with it; return the losses."""
+        losses: list[float] = []
         for stream in self.streams:
             n, place = stream.index, stream.place
             self.pool.see(place.world, images[:, n])
             loss = self.pool.loss(place.world, self.explorer, self.record.rollouts)
+            losses.append(loss)
             place.recent = [*place.recent, loss][-self.config.window :]
             for t in range(len(played)):
                 figures = Figures(
@@ -169,6 +174,7 @@ class Exploration:
                 )  # fmt: skip
                 stream.record(played[t][n], figures, images[t + 1, n])
             stream.log.flush()
+        return losses
 
     def _switch(self) -> None:
         """Let the curriculum decide for each stream in turn."""

@@ -9,8 +9,9 @@ from gym_open.collect.pool import Visits
 from gym_open.envs.puzzles import Puzzle
 from gym_open.formats.log_schemas import Reason
 
-CURVE = ["step", "world_model_loss", "intrinsic_reward", "policy_entropy"]
-"""Columns of the curve, one row a rollout: steps of all streams so far, then means over the rollout."""
+CURVE = ["step", "world_model_loss", "world_loss", "intrinsic_reward", "policy_entropy"]
+"""Columns of the curve, one row a rollout: steps of all streams so far, then the world model's loss in the update, the
+mean loss of the worlds being played in as the curriculum measures it, and means over the rollout."""
 
 
 class SegmentRecord(msgspec.Struct):
@@ -34,7 +35,8 @@ class Record(msgspec.Struct):
     """Of all streams."""
     segments: list[SegmentRecord] = []
     """Those that have ended."""
-    curve: list[list[float]] = []
+    curve: list[tuple[int, float, float, float, float]] = []
+    """Rows of `CURVE`."""
     final_losses: list[float] = []
     """Loss of every world when the run ended."""
     ended: Reason | None = None

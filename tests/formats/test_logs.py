@@ -8,7 +8,6 @@ import msgspec
 import numpy as np
 import pytest
 import zstandard
-from gym_open.envs.world import Contact
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -17,6 +16,7 @@ from mcap_ros2._dynamic import serialize_dynamic
 from mcap_ros2.decoder import DecoderFactory
 
 from gym_open.envs.puzzles import Placement, Puzzle, arranged
+from gym_open.envs.world import Contact
 from gym_open.errors import ArtefactError
 from gym_open.formats import log_container, log_schemas
 from gym_open.formats.logs import LogError, LogHead, LogWriter, SegmentStart, StepRecord, Switch, log_files, open_log
