@@ -152,6 +152,24 @@ def test_impossible_requests_are_refused(config: SandboxConfig, message: str) ->
         sample_puzzle("sandbox", np.random.default_rng(0), config)
 
 
+pairs = st.tuples(st.integers(0, 6), st.integers(0, 12)).map(lambda pair: (min(pair), max(pair)))
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=seeds, yellow=pairs, green=pairs, heavy=pairs, light=pairs, radius=st.integers(1, 15), share=st.floats(0, 1)
+)
+def test_any_request_is_met_or_refused(seed: int, share: float, **request) -> None:
+    config = SandboxConfig(**request, pen_probability=share, patch_probability=1 - share)
+    try:
+        puzzle = sample_puzzle("sandbox", np.random.default_rng(seed), config)
+    except PuzzleError:
+        return
+    assert_well_laid(puzzle)
+    for kind in ("yellow", "green", "heavy", "light"):
+        assert request[kind][0] <= len(cells_of(puzzle, kind)) <= request[kind][1]
+
+
 def test_sandbox_config_reads_toml(tmp_path) -> None:
     file = tmp_path / "sandbox.toml"
     file.write_text("yellow = [1, 3]\n")
