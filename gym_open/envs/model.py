@@ -41,11 +41,6 @@ def kind_of(name: str) -> str:
     return name.split("_", maxsplit=1)[0]
 
 
-def parking_place(index: int) -> tuple[float, float, float]:
-    """Where the inventory object of that index stands while it is parked: on the ground, apart from all others."""
-    return 0.3 * index, PARKING_Y, c.RADIUS
-
-
 def model_xml() -> str:
     """The model as MJCF text: with it alone, a logged trajectory can be replayed without this package."""
     return f"""\
@@ -191,10 +186,11 @@ def _objects() -> list[str]:
         kind = kind_of(name)
         shape = {"agent": "sphere", "yellow": "sphere", "green": "sphere"}.get(kind, "box")
         size = f"{c.RADIUS}" if shape == "sphere" else _text([c.RADIUS] * 3)
+        parked = _text((0.3 * index, PARKING_Y, c.RADIUS))  # on the ground, apart from all others
         rest, touches = ("never", 3) if kind == "agent" else ("allowed", 7)
-        look = f'type="{shape}" size="{size}" rgba="{rgba(c.COLOUR[kind])}"'
+        look = f'type="{shape}" size="{size}" rgba="{_rgba(c.COLOUR[kind])}"'
         lines += [
-            f'<body name="{name}" pos="{_text(parking_place(index))}" sleep="{rest}">',
+            f'<body name="{name}" pos="{parked}" sleep="{rest}">',
             f'  <freejoint name="{name}"/>',
             f'  <geom name="{name}" {look} mass="{c.MASS[kind]}" contype="1" conaffinity="{touches}"/>',
             "</body>",
@@ -230,12 +226,11 @@ def _box(
     extra = f' solref="{solref}"' if solref else ""
     return (
         f'<geom name="{name}" class="{kind}" type="box" pos="{_text(place)}" size="{_text(half)}" '
-        f'euler="{_text(euler)}" rgba="{rgba(c.SCENERY_COLOUR[colour])}"{extra}/>'
+        f'euler="{_text(euler)}" rgba="{_rgba(c.SCENERY_COLOUR[colour])}"{extra}/>'
     )
 
 
-def rgba(colour: tuple[int, int, int]) -> str:
-    """A colour of 0–255 as MuJoCo's text."""
+def _rgba(colour: tuple[int, int, int]) -> str:
     return _text([*(value / 255 for value in colour), 1])
 
 

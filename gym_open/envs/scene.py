@@ -7,7 +7,7 @@ import numpy as np
 
 from gym_open.envs import constants as c
 from gym_open.envs import model as m
-from gym_open.envs.puzzles import SIDES, Puzzle
+from gym_open.envs.puzzles import GOALS, SIDES, Puzzle
 from gym_open.envs.raycast import Camera, Picture, Shapes, empty_picture, observation_camera, paint, rotations
 
 _SPHERES = np.array([m.kind_of(name) in ("agent", "yellow", "green") for name in m.INVENTORY])
@@ -31,15 +31,16 @@ class Scene:
         )
         self._quaternions = np.zeros((n, 4))
         self._present = np.zeros(0, np.int64)
-        self._recolour_hits = False
+        self._recoloured: list[tuple[int, str]] = []
 
     def load(self, puzzle: Puzzle, present: np.ndarray, *, recolour_hits: bool) -> None:
         """Cast what stands still in this puzzle, and note which of the inventory moves."""
         _copy(_table_picture(), self._still)
         pieces = _pieces(puzzle)
         paint(pieces, len(pieces.label), self._camera, self._still)
-        self._recolour_hits = recolour_hits
         self._present = present.nonzero()[0]
+        names = [m.INVENTORY[i] for i in self._present]
+        self._recoloured = [(i, name) for i, name in enumerate(names) if recolour_hits and m.kind_of(name) in GOALS]
         n = len(self._present)
         self._shapes.sphere[:n] = _SPHERES[self._present]
         self._shapes.label[:n] = _labels()[self._present]
@@ -52,11 +53,8 @@ class Scene:
         self._shapes.position[:n] = poses[:, :3]
         self._quaternions[:n] = poses[:, 3:]
         rotations(self._quaternions[:n], self._shapes.rotation)
-        if self._recolour_hits and hit:
-            for slot, index in enumerate(self._present):
-                name = m.INVENTORY[index]
-                if name in hit:
-                    self._shapes.colour[slot] = c.HIT_COLOUR[m.kind_of(name)]
+        for slot, name in self._recoloured:
+            self._shapes.colour[slot] = (c.HIT_COLOUR if name in hit else c.COLOUR)[m.kind_of(name)]
         _copy(self._still, self._picture)
         paint(self._shapes, n, self._camera, self._picture)
         return self._picture

@@ -150,6 +150,11 @@ def test_goals_show_that_they_were_hit_only_if_told_to() -> None:
         pixels = world.observe()[world.segmentation() == world.model.geom("yellow_0").id]
         red, blue = pixels[:, 0].mean(), pixels[:, 2].mean()
         assert (blue > red) == recolour
+        # Back to a state from before the touch, the goal is yellow again.
+        before = World()
+        before.load(puzzle)
+        world.restore_state(before.save_state())
+        np.testing.assert_array_equal(world.observe(), before.observe())
 
 
 def test_out_is_filled_and_returned() -> None:
