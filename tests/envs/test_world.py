@@ -1,5 +1,7 @@
 """The physics: moves, pushes, bounces, friction, ramp and walls, against closed forms; exact save and restore."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import mujoco
 import numpy as np
 import pytest
@@ -303,6 +305,23 @@ def test_loading_forgets_what_came_before() -> None:
             world.step(action)
     np.testing.assert_array_equal(used.save_state(), fresh.save_state())
     np.testing.assert_array_equal(used.observe(), fresh.observe())
+
+
+def test_worlds_in_threads_are_as_alone() -> None:
+    def played(number: int) -> tuple[np.ndarray, np.ndarray]:
+        rng, world = np.random.default_rng(number), World()
+        world.load(fixed_puzzles("preferences")[number])
+        images = []
+        for action in rng.integers(1, 9, 60).tolist():
+            world.step(action)
+            images.append(world.observe())
+        return world.save_state(), np.array(images)
+
+    alone = [played(number) for number in range(4)]
+    with ThreadPoolExecutor(4) as pool:
+        for one, other in zip(alone, pool.map(played, range(4)), strict=True):
+            np.testing.assert_array_equal(one[0], other[0])
+            np.testing.assert_array_equal(one[1], other[1])
 
 
 def test_angular_velocity_is_in_the_worlds_frame() -> None:
