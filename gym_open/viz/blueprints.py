@@ -13,7 +13,7 @@ def trajectory(streams: Sequence[Stream], config: VizConfig) -> rrb.Blueprint:
     tabs = [_stream(item, config) for item in streams]
     return rrb.Blueprint(
         tabs[0] if len(tabs) == 1 else rrb.Tabs(*tabs, name="streams"),
-        rrb.TimePanel(state="collapsed", timeline="step", playback_speed=1.0, fps=25.0),
+        rrb.TimePanel(state="collapsed", timeline="step", sequence_cursor=0, fps=25.0),
         rrb.SelectionPanel(state="collapsed"),
         auto_views=False,
     )
@@ -21,6 +21,7 @@ def trajectory(streams: Sequence[Stream], config: VizConfig) -> rrb.Blueprint:
 
 def _stream(stream: Stream, config: VizConfig) -> rrb.Horizontal:
     name = f"/{stream.name}"
+    pool = max((len(item.world_losses) for item in stream.switches), default=1)
     return rrb.Horizontal(
         rrb.Vertical(
             rrb.Spatial2DView(origin=f"{name}/observation", name="observation"),
@@ -30,17 +31,11 @@ def _stream(stream: Stream, config: VizConfig) -> rrb.Horizontal:
             row_shares=[2, 3],
         ),
         rrb.Vertical(
-            rrb.TimeSeriesView(origin=f"{name}/series/intrinsic_reward", name="intrinsic reward"),
-            rrb.TimeSeriesView(
-                contents=[f"{name}/series/world_model_loss", f"{name}/threshold"], name="world-model loss, threshold"
-            ),
-            rrb.TimeSeriesView(contents=[f"{name}/world", f"{name}/switches"], name="world of the pool, and switches"),
-            rrb.TimeSeriesView(
-                contents=[f"{name}/series/entropy", f"{name}/series/value"], name="policy: entropy (nats), value"
-            ),
-            rrb.TimeSeriesView(
-                contents=[f"{name}/series/action", f"{name}/series/contacts"], name="action (0 = stay), contacts"
-            ),
+            _plot("intrinsic reward", f"{name}/series/intrinsic_reward"),
+            _plot("world-model loss, threshold", f"{name}/series/world_model_loss", f"{name}/threshold"),
+            _plot("world of the pool, and switches", f"{name}/world", f"{name}/switches", span=(-1.5, pool + 0.5)),
+            _plot("policy: entropy (nats), value", f"{name}/series/entropy", f"{name}/series/value"),
+            _plot("action (0 = stay), contacts", f"{name}/series/action", f"{name}/series/contacts"),
         ),
         rrb.Vertical(
             rrb.TextLogView(origin=f"{name}/events", name="events"),
@@ -49,9 +44,16 @@ def _stream(stream: Stream, config: VizConfig) -> rrb.Horizontal:
                 rrb.TextDocumentView(origin="/about/lineage", name="lineage"),
             ),
         ),
-        column_shares=[4, 4, 2],
+        column_shares=[4, 4, 3],
         name=stream.name.replace("_", " "),
     )
+
+
+def _plot(title: str, *entities: str, span: tuple[float, float] | None = None) -> rrb.TimeSeriesView:
+    """A plot of the entities; `span` is the range of its scalar axis, else that of the data."""
+    legend = rrb.PlotLegend(rrb.Corner2D.RightTop, visible=len(entities) > 1)
+    axis = rrb.ScalarAxis(range=span)
+    return rrb.TimeSeriesView(contents=list(entities), name=title, plot_legend=legend, axis_y=axis)
 
 
 def trail(steps: int) -> rrb.VisibleTimeRanges:
@@ -69,7 +71,7 @@ def trail(steps: int) -> rrb.VisibleTimeRanges:
 
 def curves(names: Sequence[str], timeline: str) -> rrb.Blueprint:
     """Learning curves: a plot each."""
-    views = [rrb.TimeSeriesView(origin=f"/curve/{name}", name=name.replace("_", " ")) for name in names]
+    views = [_plot(name.replace("_", " "), f"/curve/{name}") for name in names]
     about = rrb.TextDocumentView(origin="/about/config", name="configuration")
     return rrb.Blueprint(
         rrb.Horizontal(rrb.Grid(*views), about, column_shares=[4, 1]),

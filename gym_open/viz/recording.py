@@ -13,7 +13,7 @@ from gym_open.errors import ArtefactError, UsageError
 from gym_open.viz import blueprints
 from gym_open.viz.config import VizConfig
 from gym_open.viz.spans import Stream, streams_of_log, streams_of_release
-from gym_open.viz.trajectory import log_stream
+from gym_open.viz.trajectory import BLUE, log_stream
 
 APPLICATION = "gym-open"
 CURVE, SCORES = "curve.json", "scores.json"
@@ -86,7 +86,7 @@ def _curves(source: Path, curve: Curve, save: Path) -> Path:
             points = np.array(known, dtype=np.float64).reshape(-1, 2)
             at = [rr.TimeColumn(timeline, sequence=points[:, 0].astype(np.int64))]
             rec.send_columns(f"curve/{name}", at, rr.Scalars.columns(scalars=points[:, 1]))
-            rec.log(f"curve/{name}", rr.SeriesLines(names=name.replace("_", " ")), static=True)
+            rec.log(f"curve/{name}", rr.SeriesLines(names=name.replace("_", " "), colors=BLUE), static=True)
 
     return _write(source, save, fill, blueprints.curves(names, timeline))
 

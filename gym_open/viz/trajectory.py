@@ -30,7 +30,8 @@ PARKED_Y = -15.0
 """An object beyond this y is not on the table: the model parks unused ones 30 m behind the camera."""
 ARROW = 0.12
 """Length in metres of the arrow of a move along one axis."""
-_ORANGE, _BLUE, _GREY = (230, 159, 0), (86, 180, 233), (150, 150, 150)
+BLUE, _ORANGE, _GREY = (86, 180, 233), (230, 159, 0), (150, 150, 150)
+"""Told apart by colour-blind readers (Okabe and Ito)."""
 
 
 def times(steps: Sequence[int] | np.ndarray) -> list[rr.TimeColumn]:
@@ -126,7 +127,7 @@ def _log_switches(rec: rr.RecordingStream, stream: Stream) -> None:
         rec.send_columns(f"{stream.name}/threshold", times([0, stream.steps]), line)
     worlds = rr.Scalars.columns(scalars=[item.to_world for item in stream.switches])
     rec.send_columns(f"{stream.name}/switches", at, worlds)
-    text = rr.TextLog.columns(text=[describe(item) for item in stream.switches], level=["INFO"] * len(stream.switches))
+    text = rr.TextLog.columns(text=[describe(item) for item in stream.switches])
     rec.send_columns(f"{stream.name}/events", at, text)
 
 
@@ -143,10 +144,12 @@ def describe(switch: Switch) -> str:
 def _log_styles(rec: rr.RecordingStream, stream: Stream) -> None:
     name = stream.name
     for series in ("intrinsic_reward", "world_model_loss", "entropy", "value", "contacts"):
-        rec.log(f"{name}/series/{series}", rr.SeriesLines(names=series.replace("_", " "), colors=_BLUE), static=True)
-    rec.log(f"{name}/series/action", rr.SeriesPoints(names="action", colors=_BLUE, marker_sizes=1.5), static=True)
+        colour = _ORANGE if series in {"value", "contacts"} else BLUE  # the second of a pair in one plot
+        rec.log(f"{name}/series/{series}", rr.SeriesLines(names=series.replace("_", " "), colors=colour), static=True)
+    rec.log(f"{name}/series/action", rr.SeriesPoints(names="action", colors=BLUE, marker_sizes=1.5), static=True)
     rec.log(f"{name}/threshold", rr.SeriesLines(names="threshold", colors=_ORANGE), static=True)
-    rec.log(f"{name}/world", rr.SeriesLines(names="world of the pool", colors=_GREY), static=True)
+    lane = rr.SeriesLines(names="world of the pool", colors=_GREY, aggregation_policy="off")  # else edges turn slanted
+    rec.log(f"{name}/world", lane, static=True)
     rec.log(
         f"{name}/switches", rr.SeriesPoints(names="switched to", colors=_ORANGE, marker_sizes=4, markers="diamond"),
         static=True,
