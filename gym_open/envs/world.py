@@ -12,6 +12,7 @@ from gym_open.envs.contacts import Contact, ContactSum
 from gym_open.envs.puzzles import GOALS, SIDES, Puzzle, PuzzleError
 from gym_open.envs.scene import Scene
 from gym_open.envs.sleep import AWAKE, set_asleep
+from gym_open.errors import ArtefactError
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
@@ -80,7 +81,12 @@ class World:
         self._scene.load(puzzle, self.present, recolour_hits=recolour_hits)
 
     def step(self, action: int) -> StepOutcome:
-        """Take one action: a move of one cell, after which the agent stands still; 0 lets no time pass."""
+        """Take one action: a move of one cell, after which the agent stands still; 0 lets no time pass.
+
+        Raises:
+            ValueError: if the action is none of 0–8.
+            PuzzleError: before the first `load`.
+        """
         if not 0 <= action < c.N_ACTIONS:
             raise ValueError(f"action: expected 0 to {c.N_ACTIONS - 1}, got {action}")
         if self._puzzle is None:
@@ -132,11 +138,16 @@ class World:
         return np.concatenate([state, self.data.tree_asleep.astype(float), hit])
 
     def restore_state(self, state: np.ndarray) -> None:
-        """Go back, bit for bit, to a state saved from a world with the same puzzle."""
+        """Go back, bit for bit, to a state saved from a world with the same puzzle.
+
+        Raises:
+            ArtefactError: if the state has another size: it comes from another version of the model.
+        """
         size = mujoco.mj_stateSize(self.model, _STATE)
         expected = size + N + len(GOAL_INDEX)
         if state.shape != (expected,):
-            raise ValueError(f"state: expected shape {(expected,)}, got {state.shape}; save it with save_state")
+            found = f"expected {expected} numbers, got shape {state.shape}"
+            raise ArtefactError(f"world state: {found}; it was saved by another version of the world, start anew")
         mujoco.mj_resetData(self.model, self.data)
         mujoco.mj_setState(self.model, self.data, state[:size], _STATE)
         self._wake_and_sleep(state[size : size + N].astype(np.int32), state[:size])

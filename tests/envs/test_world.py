@@ -12,6 +12,7 @@ from gym_open.envs.generators import sample_puzzle
 from gym_open.envs.puzzles import SIDES, TASKS, Patch, Pen, Placement, Puzzle, PuzzleError, Side, Task, arranged
 from gym_open.envs.test_set import test_puzzles as fixed_puzzles
 from gym_open.envs.world import World
+from gym_open.errors import ArtefactError
 
 EAST, NORTH, WEST, SOUTH = 1, 3, 5, 7
 TOWARDS: dict[Side, int] = {"north": NORTH, "east": EAST, "south": SOUTH, "west": WEST}
@@ -289,7 +290,7 @@ def test_a_saved_state_goes_on_bit_for_bit(task: Task) -> None:
 
 def test_a_state_of_another_size_is_refused() -> None:
     world = loaded(("agent", 8, 4))
-    with pytest.raises(ValueError, match="expected shape"):
+    with pytest.raises(ArtefactError, match="got shape"):
         world.restore_state(np.zeros(3))
 
 
