@@ -18,7 +18,7 @@ class CollectConfig(Config, frozen=True, kw_only=True):
     """Steps that each stream takes between two updates; the curriculum decides after an update."""
     pool: PositiveInt = 12
     """Distinct sandbox worlds to switch between."""
-    threshold: NonNegativeFloat = 2.0
+    threshold: NonNegativeFloat = 1.75
     """A world is learned when its loss is under this (nats of InfoNCE); collect/README.md says how it was chosen."""
     window: PositiveInt = 2
     """Rollouts over which the loss of the world being played in is averaged."""
@@ -36,5 +36,5 @@ class CollectConfig(Config, frozen=True, kw_only=True):
     """The encoder that policy and world model share."""
     curl: CurlConfig = CurlConfig()
     """The world model."""
-    ppo: PPOConfig = PPOConfig(learning_rate=1e-3, minibatch_size=128, update_epochs=3, shift_pad=4, ent_coef=0.1)
+    ppo: PPOConfig = PPOConfig(learning_rate=1e-3, minibatch_size=128, update_epochs=3, shift_pad=4, ent_coef=0.15)
     """The learner of the policy; its Adam learns the world model too."""

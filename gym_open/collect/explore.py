@@ -39,11 +39,13 @@ def collect(config: CollectConfig, out: Path) -> artefacts.Outcome:
     Killed and run again, it goes on from its last checkpoint and ends with the same bytes.
 
     Raises:
-        ConfigError: if there are more streams than worlds.
+        ConfigError: if there are more streams than worlds or steps.
         LogError: if a resumed run does not repeat the steps that had been logged after its checkpoint.
     """
     if config.streams > config.pool:
         raise ConfigError(f"key `streams`: at most one a world, got {config.streams} for a pool of {config.pool}")
+    if config.streams > config.steps:
+        raise ConfigError(f"key `steps`: at least one a stream, got {config.steps} for {config.streams} streams")
     return artefacts.build(out, kind="log", config=config, parents=[], work=lambda folder: _work(config, folder))
 
 
@@ -107,18 +109,22 @@ class Exploration:
         config, record = self.config, self.record
         with progress.bar("exploring", config.steps, done=record.steps) as bar:
             while record.ended is None:
-                length = min(config.rollout, (config.steps - record.steps) // config.streams)
-                if length == 0:
-                    self._end("budget", self._all_losses())
-                    break
+                length = min(config.rollout, self._steps_left())
                 stats = self.rollout(length)
-                self._switch()
+                if self._steps_left():
+                    self._switch()
+                else:
+                    self._end("budget", self._all_losses())
                 note = f"world-model loss {stats.world_model_loss:.2f}, {record.switches} switches"
                 bar.advance(length * config.streams, note)
                 if record.rollouts % config.checkpoint_every == 0 and record.ended is None:
                     checkpoint.save(self.folder / artefacts.SCRATCH / checkpoint.NAME, self)
         summary = summarise(record, self.pool.puzzles, self.pool.visits)
         artefacts.write_atomically(self.folder / "summary.json", artefacts.canonical_json(summary))
+
+    def _steps_left(self) -> int:
+        """Steps that the budget still holds for each stream."""
+        return (self.config.steps - self.record.steps) // self.config.streams
 
     def rollout(self, length: int) -> UpdateStats:
         """Play `length` steps in every stream, learn from them, and log them."""

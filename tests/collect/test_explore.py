@@ -96,6 +96,7 @@ def test_the_log_says_how_it_was_made(logs: list[Log]) -> None:
 def test_segments_follow_on_one_another(logs: list[Log]) -> None:
     for log in logs:
         segments = list(log.segments())
+        assert min(len(segment.actions) for segment in segments) > 0
         ends = np.cumsum([len(segment.actions) for segment in segments])
         assert [segment.first_step for segment in segments] == [0, *ends[:-1]]
         assert [segment.index for segment in segments] == list(range(len(segments)))
@@ -212,9 +213,11 @@ def test_random_play_is_logged_too(tmp_path: Path) -> None:
     np.testing.assert_allclose(segment.policy_entropy, np.log(9), rtol=1e-6)
 
 
-def test_more_streams_than_worlds_are_refused(tmp_path: Path) -> None:
+def test_more_streams_than_worlds_or_steps_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="key `streams`: at most one a world, got 5 for a pool of 4"):
         collect(msgspec.structs.replace(TINY, streams=5), tmp_path / "log")
+    with pytest.raises(ConfigError, match="key `steps`: at least one a stream, got 1 for 2 streams"):
+        collect(msgspec.structs.replace(TINY, steps=1), tmp_path / "log")
     assert list(tmp_path.iterdir()) == []
 
 
