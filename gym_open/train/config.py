@@ -19,7 +19,7 @@ class EncoderTrainConfig(Config, frozen=True, kw_only=True):
     """Updates between two rows of the learning curve; a killed run goes on from the last of them."""
     encoder: EncoderConfig = EncoderConfig()
     """The network."""
-    curl: CurlConfig = CurlConfig()
+    curl: CurlConfig = CurlConfig(pad=8)
     """The contrastive loss."""
     precision: Precision = "bf16"
     """Arithmetic of the network: bf16 is the faster on CPUs that have it, weights stay fp32."""
