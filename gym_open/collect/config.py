@@ -26,8 +26,9 @@ class CollectConfig(Config, frozen=True, kw_only=True):
     """Distinct latest observations kept of each world, on which its loss is measured."""
     checkpoint_every: PositiveInt = 5
     """Rollouts between two checkpoints."""
-    threads: PositiveInt = 2
-    """Threads of the learner. Another number gives other bytes, since sums are then rounded in another order."""
+    threads: PositiveInt = 1
+    """Threads of the learner. Another number rounds sums in another order, so it plays otherwise. Two are faster on an
+    idle machine and several times slower than one on a busy one."""
     seed: Seed = 0
     """Root of all randomness."""
     sandbox: SandboxConfig = SandboxConfig()

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from gym_open import artefacts, progress
-from gym_open.agents.explorer import Explorer, UpdateStats
+from gym_open.agents.explorer import Acted, Explorer, UpdateStats
 from gym_open.agents.ppo import Rollout
 from gym_open.collect import checkpoint
 from gym_open.collect.config import CollectConfig
@@ -128,17 +128,7 @@ class Exploration:
 
     def rollout(self, length: int) -> UpdateStats:
         """Play `length` steps in every stream, learn from them, and log them."""
-        images = np.empty((length + 1, self.config.streams, *IMAGE_SHAPE), np.uint8)
-        acted, played = [], []
-        for stream in self.streams:
-            stream.look(images[0, stream.index])
-        for t in range(length):
-            acted.append(self.explorer.act(torch.from_numpy(images[t])))
-            actions: list[int] = acted[t].actions.tolist()
-            played.append(
-                [s.play(action, images[t + 1, s.index]) for s, action in zip(self.streams, actions, strict=True)]
-            )
-        acted.append(self.explorer.act(torch.from_numpy(images[length])))
+        images, acted, played = self._play(length)
         latent, values = torch.stack([one.latent for one in acted]), torch.stack([one.values for one in acted])
         nothing = torch.zeros(length, self.config.streams, dtype=torch.bool)
         rollout = Rollout(
@@ -161,6 +151,19 @@ class Exploration:
             (self.record.steps, stats.world_model_loss, float(np.mean(losses)), reward, float(entropy.mean()))
         )
         return stats
+
+    def _play(self, length: int) -> tuple[np.ndarray, list[Acted], list[list[Played]]]:
+        """Act in all streams side by side: images (length + 1, streams, 84, 84, 3), what was thought of each, steps."""
+        images = np.empty((length + 1, self.config.streams, *IMAGE_SHAPE), np.uint8)
+        for stream in self.streams:
+            stream.look(images[0, stream.index])
+        acted = [self.explorer.act(torch.from_numpy(images[0]))]
+        played: list[list[Played]] = []
+        for now in images[1:]:
+            actions: list[int] = acted[-1].actions.tolist()
+            played.append([one.play(action, now[one.index]) for one, action in zip(self.streams, actions, strict=True)])
+            acted.append(self.explorer.act(torch.from_numpy(now)))
+        return images, acted, played
 
     def _log(
         self, rollout: Rollout, entropy: torch.Tensor, played: list[list[Played]], images: np.ndarray
