@@ -21,7 +21,7 @@ from gym_open import artefacts, seeding
 from gym_open.agents.config import EncoderConfig, PPOConfig
 from gym_open.agents.explorer import Explorer
 from gym_open.collect.config import CollectConfig
-from gym_open.collect.explore import collect
+from gym_open.collect.explore import Exploration, collect
 from gym_open.collect.pool import Pool, sample_pool
 from gym_open.config import to_dict
 from gym_open.envs.generators import SandboxConfig
@@ -29,7 +29,7 @@ from gym_open.envs.model import fixed_model
 from gym_open.envs.test_set import reserved_digests
 from gym_open.envs.world import World
 from gym_open.errors import ConfigError, GymOpenError
-from gym_open.formats.log_container import whole_chunks
+from gym_open.formats.log_container import Logged, whole_chunks
 from gym_open.formats.logs import Log, LogError, Segment, log_files, open_log
 
 TINY = CollectConfig(
@@ -281,36 +281,49 @@ def kill_after(out: Path, chunks: int) -> None:
         process.wait()
 
 
-def test_killed_twice_it_ends_with_the_same_bytes_and_loses_no_step(made: Path, tmp_path: Path) -> None:
-    out = tmp_path / "log"
-    partial = tmp_path / ".log.partial"
-    for chunks in (7, 11):
-        kill_after(out, chunks)
-        reached = [[list(chunk) for chunk in whole_chunks(path)] for path in log_files(partial)]
-        assert len(reached[0]) >= chunks
-    assert not out.exists()
-    collect(TINY, out)
-    assert artefacts.digest(out) == artefacts.digest(made)
-    for path, chunks in zip(log_files(out), reached, strict=True):
-        assert list(whole_chunks(path))[: len(chunks)] == chunks
+def stop_before(out: Path, rollout: int) -> None:
+    """Run in this process until so many rollouts are done, then stop as by Ctrl-C."""
+    real = Exploration.rollout
 
-
-@pytest.fixture
-def killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A run stopped in its own process, some rollouts after a checkpoint."""
-    from gym_open.collect import explore
-
-    real = explore.Exploration.rollout
-
-    def rollout(self: explore.Exploration, length: int) -> Any:
-        if self.record.rollouts == 6:
+    def rollouts(self: Exploration, length: int) -> Any:
+        if self.record.rollouts == rollout:
             raise KeyboardInterrupt
         return real(self, length)
 
-    with monkeypatch.context() as patch:
-        patch.setattr(explore.Exploration, "rollout", rollout)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Exploration, "rollout", rollouts)
         with pytest.raises(KeyboardInterrupt):
-            collect(TINY, tmp_path / "log")
+            collect(TINY, out)
+
+
+def whole(folder: Path) -> list[list[list[Logged]]]:
+    return [list(whole_chunks(path)) for path in log_files(folder)]
+
+
+def test_killed_and_stopped_it_ends_with_the_same_bytes_and_loses_no_step(made: Path, tmp_path: Path) -> None:
+    out, partial = tmp_path / "log", tmp_path / ".log.partial"
+    kill_after(out, chunks=7)
+    killed = whole(partial)
+    assert len(killed[0]) >= 7
+    stop_before(out, rollout=19)
+    stopped = whole(partial)
+    assert len(stopped[0]) >= 19
+    assert not out.exists()
+    collect(TINY, out)
+    assert artefacts.digest(out) == artefacts.digest(made)
+    for final, *kept in zip(whole(out), killed, stopped, strict=True):
+        assert [final[: len(chunks)] for chunks in kept] == kept
+
+
+def test_stopped_before_its_first_checkpoint_it_starts_again_and_is_held_to_its_log(made: Path, tmp_path: Path) -> None:
+    stop_before(tmp_path / "log", rollout=2)
+    assert artefacts.digest(collect(TINY, tmp_path / "log").path) == artefacts.digest(made)
+
+
+@pytest.fixture
+def killed(tmp_path: Path) -> Path:
+    """A run stopped some rollouts after a checkpoint."""
+    stop_before(tmp_path / "log", rollout=6)
     return tmp_path / "log"
 
 

@@ -317,6 +317,19 @@ def test_a_bomb_is_refused_before_it_unpacks(tmp_path: Path, monkeypatch: pytest
         open_log(path)
 
 
+def test_a_chunk_beyond_the_limit_is_refused(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(log_container, "MAX_CHUNK", 1000)
+    with pytest.raises(LogError, match=r"a chunk would unpack to \d+ bytes, the limit is 1000"):
+        open_log(whole)
+
+
+def test_a_chunk_that_lies_about_its_size_is_refused(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The packed frame's own size is held to the chunk's, so a frame cannot unpack to more than was allowed for."""
+    monkeypatch.setattr(zstandard, "frame_content_size", lambda _: 10**12)
+    with pytest.raises(LogError, match=r"a chunk is not packed as it says"):
+        open_log(whole)
+
+
 def test_log_files_are_in_the_order_of_the_streams(tmp_path: Path) -> None:
     for name in ("stream-001.mcap", "stream-000.mcap", "summary.json"):
         (tmp_path / name).touch()
