@@ -48,7 +48,7 @@ class Log:
         self.provenance: dict[str, str] = contents.metadata.get("provenance", {})
         self.model_xml: str = contents.attachments[MODEL].decode()
         self._topics: dict[int, str] = {}
-        if contents.chunks:
+        if contents.chunks:  # the first one names the channels
             list(read_chunk(path, contents.chunks[0], self._topics))
         self.switches: list[Switch] = list(self._read_switches())
         self.n_steps: int = sum(place.counts.get(self._channel(schemas.STEP), 0) for place in contents.chunks)
