@@ -9,7 +9,7 @@ from gym_open.config import Config, PositiveFloat, PositiveInt, Seed
 class EncoderTrainConfig(Config, frozen=True, kw_only=True):
     """CURL from a release, off-line."""
 
-    updates: PositiveInt = 600
+    updates: PositiveInt = 400
     """Gradient steps."""
     batch_size: PositiveInt = 128
     """Pictures a gradient step; all others of a batch are the negatives of each."""
