@@ -23,11 +23,11 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def score_table(scores: Mapping[str, Path]) -> Table:
-    """One row an agent: A-Success with its 95% interval over the puzzles, mean return, actions, training steps."""
+    """One row an agent: A-Success with its 95% interval over the puzzles, mean return, mean actions, training steps."""
     task = next(iter({read_json(path / "scores.json")["task"] for path in scores.values()}))
     table = Table(title=f"{task}: the same 100 puzzles for everyone", title_justify="left")
-    for name in ("agent", "A-Success ± 95%", "return", "actions", "trained for", "task-free"):
-        table.add_column(name, justify="left" if name in ("agent", "task-free") else "right")
+    for name in ("agent", "A-Success (95%)", "return", "actions", "trained", "task-free"):
+        table.add_column(name, justify="left" if name in ("agent", "task-free") else "right", no_wrap=True)
     for name, path in scores.items():
         record = read_json(path / "scores.json")
         table.add_row(
@@ -35,7 +35,7 @@ def score_table(scores: Mapping[str, Path]) -> Table:
             f"{record['a_success']:.3f} ± {record['a_success_half_width_95']:.3f}",
             f"{record['mean_return']:.2f}",
             f"{record['mean_steps']:.0f}",
-            f"{_training_steps(path):,} steps",
+            f"{_training_steps(path):,}",
             record["proof"]["verdict"],
         )
     return table
@@ -48,7 +48,7 @@ def _training_steps(scores: Path) -> int:
 
 def probe_table(path: Path) -> Table:
     """One row a target: how well a linear map reads it from the encoder's features on held-out worlds."""
-    table = Table(title="linear probe on held-out worlds: R², error (cells)", title_justify="left")
+    table = Table(title="linear probe: R², error in cells", title_justify="left")
     table.add_column("position of")
     targets = read_json(path / "probe.json")["targets"]
     features = list(next(iter(targets.values())))

@@ -52,7 +52,7 @@ def _stream(stream: Stream, config: VizConfig) -> rrb.Horizontal:
 def _plot(title: str, *entities: str, span: tuple[float, float] | None = None) -> rrb.TimeSeriesView:
     """A plot of the entities; `span` is the range of its scalar axis, else that of the data."""
     legend = rrb.PlotLegend(rrb.Corner2D.RightTop, visible=len(entities) > 1)
-    axis = rrb.ScalarAxis(range=span)
+    axis = rrb.ScalarAxis(range=span) if span else None  # an empty one makes Rerun warn
     return rrb.TimeSeriesView(contents=list(entities), name=title, plot_legend=legend, axis_y=axis)
 
 
