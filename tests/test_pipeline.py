@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -56,18 +57,34 @@ def _digests(root: Path) -> dict[str, str]:
     return {path.relative_to(root).as_posix(): artefacts.digest(path) for path in sorted(found)}
 
 
+class Runs(NamedTuple):
+    """One run left alone, and one in another folder that was killed twice and started again."""
+
+    root: Path
+    shown: str
+    killed: Path
+    shown_at_last: str
+
+
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, str]]:
-    root = _workspace(tmp_path_factory.mktemp("run") / "w")
-    process = _start(root)
-    shown = process.communicate()[0].decode()
-    assert process.returncode == 0, shown
-    yield root, shown
-    shutil.rmtree(root)
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runs]:
+    base = tmp_path_factory.mktemp("runs")
+    root, killed = _workspace(base / "w"), _workspace(base / "somewhere" / "else")
+    alone = _start(root)
+    for folder in ("collect/logs/.curl-ride-seed0.partial", "train/policies/.goal-seeking-scratch-seed0.partial"):
+        partial = killed / folder
+        _kill_when(_start(killed), lambda partial=partial: any((partial / artefacts.SCRATCH).glob("*.safetensors")))
+        assert partial.is_dir()
+    at_last = _start(killed)
+    shown_at_last = at_last.communicate()[0].decode()
+    shown = alone.communicate()[0].decode()
+    assert (alone.returncode, at_last.returncode) == (0, 0), shown + shown_at_last
+    yield Runs(root, shown, killed, shown_at_last)
+    shutil.rmtree(base)
 
 
-def test_everything_that_a_run_promises_is_there(finished: tuple[Path, str]) -> None:
-    root, shown = finished
+def test_everything_that_a_run_promises_is_there(runs: Runs) -> None:
+    root, shown = runs.root, runs.shown
     for name in (
         "collect/logs/curl-ride-seed0/stream-000.mcap",
         f"{RELEASE}/meta/info.json",
@@ -85,8 +102,8 @@ def test_everything_that_a_run_promises_is_there(finished: tuple[Path, str]) -> 
     assert not list(root.rglob("*.lock"))
 
 
-def test_the_scores_follow_from_the_recorded_episodes(finished: tuple[Path, str]) -> None:
-    root, _ = finished
+def test_the_scores_follow_from_the_recorded_episodes(runs: Runs) -> None:
+    root = runs.root
     for folder in sorted((root / SCORES).iterdir()):
         scores = json.loads((folder / "scores.json").read_text())
         episodes = pd.read_parquet(folder / "episodes.parquet")
@@ -98,8 +115,8 @@ def test_the_scores_follow_from_the_recorded_episodes(finished: tuple[Path, str]
         assert scores["mean_return"] == pytest.approx(episodes["return"].mean())
 
 
-def test_the_policy_from_the_encoder_is_proven_task_free(finished: tuple[Path, str]) -> None:
-    root, shown = finished
+def test_the_policy_from_the_encoder_is_proven_task_free(runs: Runs) -> None:
+    root, shown = runs.root, runs.shown
     proof = json.loads((root / SCORES / "goal-seeking-curl-seed0" / "scores.json").read_text())["proof"]
     assert proof["verdict"] == "proven", proof
     assert "task-free, proven" in shown
@@ -107,37 +124,26 @@ def test_the_policy_from_the_encoder_is_proven_task_free(finished: tuple[Path, s
     assert proof["chain"][-1].endswith(log[:12])
 
 
-def test_a_second_run_does_nothing_and_says_so(finished: tuple[Path, str], capsys: pytest.CaptureFixture[str]) -> None:
-    root, _ = finished
+def test_a_second_run_does_nothing_and_says_so(runs: Runs, capsys: pytest.CaptureFixture[str]) -> None:
+    root = runs.root
     before = {path: path.stat().st_mtime_ns for path in root.rglob("*")}
     assert main(["run", "--workspace", str(root)]) == 0
     assert "nothing to do" in capsys.readouterr().out
     assert {path: path.stat().st_mtime_ns for path in root.rglob("*") if path in before} == before
 
 
-def test_killed_twice_in_another_folder_it_ends_with_the_same_digests(
-    finished: tuple[Path, str], tmp_path: Path
-) -> None:
-    root, _ = finished
-    other = _workspace(tmp_path / "somewhere" / "else")
-    log = other / "collect/logs/.curl-ride-seed0.partial"
-    _kill_when(_start(other), lambda: any((log / artefacts.SCRATCH).glob("*.safetensors")))
-    assert log.is_dir()
-    policy = other / "train/policies/.goal-seeking-scratch-seed0.partial"
-    _kill_when(_start(other), lambda: any((policy / artefacts.SCRATCH).glob("*.safetensors")))
-    assert policy.is_dir()
-    last = _start(other)
-    shown = last.communicate()[0].decode()
-    assert last.returncode == 0, shown
-    mine, theirs = _digests(root), _digests(other)
-    for name in [name for name in mine if not name.startswith("viz/")]:
+def test_killed_twice_in_another_folder_it_ends_with_the_same_digests(runs: Runs) -> None:
+    mine, theirs = _digests(runs.root), _digests(runs.killed)
+    assert set(mine) == set(theirs)
+    for name in [name for name in mine if not name.startswith("viz/")]:  # Rerun's files differ from run to run
         assert theirs[name] == mine[name], name
+    assert runs.shown_at_last.count("up to date") >= 4  # collect, release, encoder and probe were not made again
 
 
 def test_a_flipped_byte_in_the_release_stops_training(
-    finished: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    runs: Runs, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    root, _ = finished
+    root = runs.root
     release = Path(shutil.copytree(root / RELEASE, tmp_path / "release"))
     victim = next((release / "data").rglob("*.parquet"))
     data = bytearray(victim.read_bytes())
@@ -152,10 +158,8 @@ def test_a_flipped_byte_in_the_release_stops_training(
     assert not out.exists()
 
 
-def test_a_cut_log_makes_no_release(
-    finished: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    root, _ = finished
+def test_a_cut_log_makes_no_release(runs: Runs, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root = runs.root
     log = Path(shutil.copytree(root / "collect/logs/curl-ride-seed0", tmp_path / "log"))
     victim = log / "stream-000.mcap"
     victim.write_bytes(victim.read_bytes()[: int(victim.stat().st_size * 0.61)])
@@ -166,9 +170,9 @@ def test_a_cut_log_makes_no_release(
 
 
 def test_an_encoder_of_another_shape_is_refused_before_training(
-    finished: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    runs: Runs, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    root, _ = finished
+    root = runs.root
     words = ["train", "policy", "--workspace", str(root), "--encoder", str(root / "train/encoders/curl-seed0")]
     assert main([*words, "--encoder.features", "64", "--out", str(tmp_path / "policy")]) == 1
     error = capsys.readouterr().err
