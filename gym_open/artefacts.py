@@ -73,10 +73,13 @@ class Lineage(msgspec.Struct, frozen=True):
 
 
 class Outcome(msgspec.Struct, frozen=True):
-    """What `build` did: the artefact's path and whether it was made now or was there already."""
+    """What `build` did."""
 
     path: Path
     made: bool
+    """Made now, or found up to date."""
+    earlier: Path | None = None
+    """Where an artefact of other inputs, which stood at `path` before, was put aside."""
 
 
 def sha256_file(path: Path) -> str:
@@ -196,7 +199,7 @@ def build(
     """Make the artefact `out` unless it is already there and up to date.
 
     `work` gets a folder to write the payload into and returns the facts for the lineage. The folder survives a kill:
-    if it holds files, `work` goes on from them. Unfinished work of other inputs is set aside, never deleted.
+    if it holds files, `work` goes on from them. What was made of other inputs, whole or not, is set aside.
 
     Args:
         out: folder of the artefact.
@@ -216,7 +219,7 @@ def build(
         if not (out / LINEAGE).is_file():
             raise ArtefactError(f"{out}: exists and is not an artefact of gym-open; give another --out or remove it")
         if lineage(out).key == key:
-            verify(out)
+            _verify_own(out)
             return Outcome(path=out, made=False)
     partial = out.parent / f".{out.name}.partial"
     partial.parent.mkdir(parents=True, exist_ok=True)
@@ -225,10 +228,23 @@ def build(
         facts = dict(work(partial))
         record = Lineage(kind=kind, key=key, code=code_version(), packages=_packages(), facts=facts, parents=inputs)
         _seal(partial, config, record)
-        if out.exists():
-            shutil.rmtree(out)
+        earlier = _set_aside(out) if out.exists() else None
         partial.rename(out)
-    return Outcome(path=out, made=True)
+    return Outcome(path=out, made=True, earlier=earlier)
+
+
+def _verify_own(out: Path) -> None:
+    try:
+        verify(out)
+    except ArtefactError as error:
+        raise ArtefactError(f"{error}. To make it anew: remove the folder {out} and run the same command") from None
+
+
+def _set_aside(path: Path) -> Path:
+    """Rename `path` to the first free `NAME-1`, `NAME-2`, …: nothing that was made is ever deleted."""
+    aside = next(name for n in itertools.count(1) if not (name := path.with_name(f"{path.name}-{n}")).exists())
+    path.rename(aside)
+    return aside
 
 
 def _key(kind: str, config: Config, parents: list[Parent]) -> str:
@@ -239,22 +255,23 @@ def _key(kind: str, config: Config, parents: list[Parent]) -> str:
 def _claim(partial: Path, key: str) -> None:
     mark = partial / SCRATCH / "key"
     if partial.exists() and (not mark.is_file() or mark.read_text() != key):
-        taken = (partial.with_name(f"{partial.name}-{number}") for number in itertools.count(1))
-        partial.rename(next(name for name in taken if not name.exists()))
+        _set_aside(partial)
     mark.parent.mkdir(parents=True, exist_ok=True)
     if not mark.exists():
         write_atomically(mark, key.encode())
 
 
 def _seal(partial: Path, config: Config, record: Lineage) -> None:
-    shutil.rmtree(partial / SCRATCH)
     (partial / CONFIG).write_bytes(canonical_json(to_dict(config)))
     (partial / LINEAGE).write_bytes(canonical_json(record))
+    names = {item.relative_to(partial).as_posix(): item for item in _files(partial)}
     entries = {
-        item.relative_to(partial).as_posix(): Entry(sha256=sha256_file(item), bytes=item.stat().st_size)
-        for item in _files(partial)
+        name: Entry(sha256=sha256_file(item), bytes=item.stat().st_size)
+        for name, item in names.items()
+        if name != MANIFEST and not name.startswith(f"{SCRATCH}/")
     }
     write_atomically(partial / MANIFEST, canonical_json(entries))
+    shutil.rmtree(partial / SCRATCH)  # last: until then a kill leaves a folder that the same command goes on from
 
 
 def write_atomically(path: Path, data: bytes) -> None:

@@ -57,6 +57,8 @@ def report(made: artefacts.Outcome, *then: str) -> None:
     """Say what came of it and which commands to type next."""
     verb = "made" if made.made else "up to date, nothing to do:"
     out.print(f"[bold green]{verb}[/] {short(made.path)}  (digest {artefacts.digest(made.path)[:16]})", soft_wrap=True)
+    if made.earlier is not None:
+        out.print(f"  what was there before, of other inputs, is now {short(made.earlier)}", soft_wrap=True)
     for line in then:
         out.print(f"  next: {line}", highlight=False, soft_wrap=True)
 

@@ -78,7 +78,8 @@ class Journal:
         self.made += outcome.made
         result = "made" if outcome.made else "up to date"
         self.rows.append((name, result, f"{seconds:.1f} s", artefacts.digest(outcome.path)[:12]))
-        self.console.print(f"[bold]{name:<34}[/] {result} ({seconds:.1f} s)", highlight=False)
+        kept = f", the earlier one is now {outcome.earlier.name}" if outcome.earlier else ""
+        self.console.print(f"[bold]{name:<27}[/] {result} ({seconds:.1f} s){kept}", highlight=False)
         return outcome.path
 
 

@@ -34,8 +34,13 @@ def test_made_once_then_up_to_date_then_made_again_when_an_input_changes(tmp_pat
     out = tmp_path / "a"
     assert _make(out).made
     assert not _make(out).made
-    assert _make(out, Toy(n=4)).made
+    again = _make(out, Toy(n=4))
+    assert again.made
     assert (out / "data" / "numbers.txt").read_text() == "0 1 2 3"
+    assert again.earlier == tmp_path / "a-1"
+    assert (tmp_path / "a-1" / "data" / "numbers.txt").read_text() == "0 1 2"
+    artefacts.verify(tmp_path / "a-1")
+    assert _make(out, Toy(n=5)).earlier == tmp_path / "a-2"
 
 
 def test_the_digest_does_not_depend_on_the_place(tmp_path: Path) -> None:
@@ -65,6 +70,13 @@ def test_every_flipped_bit_position_of_every_file_is_found(tmp_path: Path) -> No
                 artefacts.verify(out)
         path.write_bytes(good)
     artefacts.verify(out)
+
+
+def test_a_damaged_artefact_is_not_taken_for_up_to_date(tmp_path: Path) -> None:
+    out = _make(tmp_path / "a").path
+    (out / "data" / "numbers.txt").write_text("0 1 3")
+    with pytest.raises(ArtefactError, match=r"numbers\.txt: .*remove the folder"):
+        _make(out)
 
 
 def test_missing_extra_and_linked_files_are_found(tmp_path: Path) -> None:
