@@ -203,7 +203,7 @@ def build(
 
     Args:
         out: folder of the artefact.
-        kind: `log`, `release`, `encoder`, `policy`, `probe`, `scores` or `recording`.
+        kind: `log`, `release`, `encoder`, `policy`, `probe`, `scores`, `recording` or `figure`.
         config: everything that decides the result, the seed included.
         parents: folders of the input artefacts; each is verified byte by byte first.
         work: writes the payload.
