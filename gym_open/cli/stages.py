@@ -1,24 +1,16 @@
-"""The command `gym-open`: sub-commands only; each hands its configuration and paths to a stage.
+"""The pipeline's sub-commands: each hands its configuration and paths to a stage."""
 
-Slow libraries (torch, mujoco, lerobot, rerun) are imported when a sub-command runs, so that `--help` answers at once.
-"""
-
-import sys
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, TypeVar, get_type_hints
+from typing import Annotated, Any, ClassVar, TypeVar
 
 import tyro
-from rich.console import Console
 
-import gym_open
-from gym_open import artefacts, workspace
+from gym_open import workspace
+from gym_open.cli.base import Command, out, report
 from gym_open.collect.config import CollectConfig
-from gym_open.config import Config, check, load
+from gym_open.config import Config
 from gym_open.datasets.config import ReleaseConfig
-from gym_open.errors import GymOpenError
 from gym_open.evaluate.config import EvaluateConfig
 from gym_open.summary import probe_table, proof_text, score_table, short
 from gym_open.train.config import EncoderTrainConfig, PolicyTrainConfig, ProbeConfig
@@ -28,11 +20,9 @@ C = TypeVar("C", bound=Config)
 Settings = Annotated[C, tyro.conf.arg(name="")]
 """A stage's configuration: its fields become options of the sub-command."""
 
-out = Console()
-
 
 @dataclass(frozen=True, kw_only=True)
-class StageCommand(ABC):
+class StageCommand(Command):
     """A sub-command whose settings start from a TOML file of the workspace."""
 
     settings: Any
@@ -42,25 +32,10 @@ class StageCommand(ABC):
     """TOML file that the settings start from."""
 
     default: ClassVar[str]
-    about: ClassVar[str]
 
     def place(self, given: Path | None, folder: str, name: str | None = None) -> Path:
         """Where to write: the path given, or `folder` of the workspace and a name (the configuration's)."""
         return given or workspace.check(self.workspace) / folder / (name or self.config.stem)
-
-    @abstractmethod
-    def run(self) -> None:
-        """Do it."""
-
-
-def report(made: artefacts.Outcome, *then: str) -> None:
-    """Say what came of it and which commands to type next."""
-    verb = "made" if made.made else "up to date, nothing to do:"
-    out.print(f"[bold green]{verb}[/] {short(made.path)}  (digest {artefacts.digest(made.path)[:16]})", soft_wrap=True)
-    if made.earlier is not None:
-        out.print(f"  what was there before, of other inputs, is now {short(made.earlier)}", soft_wrap=True)
-    for line in then:
-        out.print(f"  next: {line}", highlight=False, soft_wrap=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -239,7 +214,7 @@ class Viz(StageCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Run:
+class Run(Command):
     """Take a workspace through all stages: play, log, release, learn, fine-tune, score, look.
 
     What is up to date is skipped; after a kill, the same command goes on where it was.
@@ -252,7 +227,7 @@ class Run:
     seed: int = 0
     """Root seed of every stage; part of the artefacts' names."""
 
-    about: ClassVar[str] = "all stages, from play to score; the place to start"
+    about = "all stages, from play to score; the place to start"
 
     def run(self) -> None:
         """Run all."""
@@ -262,7 +237,7 @@ class Run:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Init:
+class Init(Command):
     """Make a workspace: the five stage folders with their default configurations.
 
     Example: gym-open init ~/my-workspace
@@ -271,7 +246,7 @@ class Init:
     directory: Annotated[Path, tyro.conf.Positional]
     """Folder to make it in."""
 
-    about: ClassVar[str] = "make a workspace with the default configurations"
+    about = "make a workspace with the default configurations"
 
     def run(self) -> None:
         """Make it."""
@@ -279,87 +254,3 @@ class Init:
             out.print(f"  {path}", highlight=False)
         out.print(f"[bold green]made[/] the workspace {self.directory}", highlight=False)
         out.print(f"  next: gym-open run --workspace {self.directory}", highlight=False)
-
-
-COMMANDS: dict[str, type[StageCommand] | type[Run] | type[Init]] = {
-    "run": Run,
-    "init": Init,
-    "collect": Collect,
-    "dataset build": DatasetBuild,
-    "train encoder": TrainEncoder,
-    "train policy": TrainPolicy,
-    "train probe": TrainProbe,
-    "evaluate": Evaluate,
-    "viz": Viz,
-}
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run one sub-command and return the exit code: 0 done, 1 the run or the check failed, 2 wrong use."""
-    words = list(sys.argv[1:] if argv is None else argv)
-    if not words or words[0] in ("-h", "--help"):
-        _overview()
-        return 0
-    if words[0] == "--version":
-        print(gym_open.__version__)
-        return 0
-    name = next((" ".join(words[:n]) for n in (2, 1) if " ".join(words[:n]) in COMMANDS), None)
-    if name is None:
-        return _unknown(words)
-    try:
-        _parse(name, words[len(name.split()) :]).run()
-    except GymOpenError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
-    except KeyboardInterrupt:
-        print("stopped; the same command goes on from the last checkpoint", file=sys.stderr)
-        return 130
-    return 0
-
-
-def _parse(name: str, words: list[str]) -> StageCommand | Run | Init:
-    kind = COMMANDS[name]
-    program = f"gym-open {name}"
-    if not issubclass(kind, StageCommand):
-        return tyro.cli(kind, args=words, prog=program)
-    root = Path(_value(words, "--workspace") or ".")
-    file = Path(_value(words, "--config") or root / kind.default)
-    settings_type = get_type_hints(kind)["settings"]
-    asks_help = any(word in ("-h", "--help") for word in words)
-    settings = settings_type() if asks_help and not file.is_file() else load(file, settings_type)
-    given: dict[str, Any] = {"settings": settings, "workspace": root, "config": file}
-    required = {f.name: tyro.MISSING for f in fields(kind) if f.default is MISSING and f.name not in given}
-    command = tyro.cli(kind, args=words, prog=program, default=kind(**given, **required))
-    check(command.settings, source="options")
-    return command
-
-
-def _value(words: Sequence[str], option: str) -> str | None:
-    for i, word in enumerate(words):
-        if word == option and i + 1 < len(words):
-            return words[i + 1]
-        if word.startswith(f"{option}="):
-            return word.split("=", 1)[1]
-    return None
-
-
-def _overview() -> None:
-    print(f"gym-open {gym_open.__version__}: play without a task, released as data, scored by what it was worth\n")
-    print("usage: gym-open COMMAND [options]      gym-open COMMAND --help shows its options and an example\n")
-    for name, kind in COMMANDS.items():
-        print(f"  {name:<15} {kind.about}")
-    print("\nexample: gym-open run")
-
-
-def _unknown(words: Sequence[str]) -> int:
-    near = [name for name in COMMANDS if words[0] in name.split()]
-    if near and len(words) > 1 and words[1] in ("-h", "--help"):
-        print("\n".join(f"  gym-open {name:<15} {COMMANDS[name].about}" for name in near))
-        return 0
-    hint = f"did you mean {' or '.join(f'`gym-open {name}`' for name in near)}?" if near else "see gym-open --help"
-    print(f"error: no command {' '.join(words[:2])!r}; {hint}", file=sys.stderr)
-    return 2
-
-
-if __name__ == "__main__":
-    sys.exit(main())

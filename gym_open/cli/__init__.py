@@ -1,0 +1,97 @@
+"""The command `gym-open`: sub-commands only, no logic.
+
+Slow libraries (torch, mujoco, lerobot, rerun) are imported when a sub-command runs, so that `--help` answers at once.
+"""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import MISSING, fields
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import tyro
+
+import gym_open
+from gym_open.cli import stages
+from gym_open.cli.base import Command
+from gym_open.config import check, load
+from gym_open.errors import GymOpenError
+
+COMMANDS: dict[str, type[Command]] = {
+    "run": stages.Run,
+    "init": stages.Init,
+    "collect": stages.Collect,
+    "dataset build": stages.DatasetBuild,
+    "train encoder": stages.TrainEncoder,
+    "train policy": stages.TrainPolicy,
+    "train probe": stages.TrainProbe,
+    "evaluate": stages.Evaluate,
+    "viz": stages.Viz,
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one sub-command and return the exit code: 0 done, 1 the run or the check failed, 2 wrong use."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    if not words or words[0] in ("-h", "--help"):
+        _overview()
+        return 0
+    if words[0] == "--version":
+        print(gym_open.__version__)
+        return 0
+    name = next((" ".join(words[:n]) for n in (2, 1) if " ".join(words[:n]) in COMMANDS), None)
+    if name is None:
+        return _unknown(words)
+    try:
+        _parse(name, words[len(name.split()) :]).run()
+    except GymOpenError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        print("stopped; the same command goes on from the last checkpoint", file=sys.stderr)
+        return 130
+    return 0
+
+
+def _parse(name: str, words: list[str]) -> Command:
+    kind = COMMANDS[name]
+    program = f"gym-open {name}"
+    if not issubclass(kind, stages.StageCommand):
+        return tyro.cli(kind, args=words, prog=program)
+    root = Path(_value(words, "--workspace") or ".")
+    file = Path(_value(words, "--config") or root / kind.default)
+    settings_type = get_type_hints(kind)["settings"]
+    asks_help = any(word in ("-h", "--help") for word in words)
+    settings = settings_type() if asks_help and not file.is_file() else load(file, settings_type)
+    given: dict[str, Any] = {"settings": settings, "workspace": root, "config": file}
+    required = {f.name: tyro.MISSING for f in fields(kind) if f.default is MISSING and f.name not in given}
+    command = tyro.cli(kind, args=words, prog=program, default=kind(**given, **required))
+    check(command.settings, source="options")
+    return command
+
+
+def _value(words: Sequence[str], option: str) -> str | None:
+    for i, word in enumerate(words):
+        if word == option and i + 1 < len(words):
+            return words[i + 1]
+        if word.startswith(f"{option}="):
+            return word.split("=", 1)[1]
+    return None
+
+
+def _overview() -> None:
+    print(f"gym-open {gym_open.__version__}: play without a task, released as data, scored by what it was worth\n")
+    print("usage: gym-open COMMAND [options]      gym-open COMMAND --help shows its options and an example\n")
+    for name, kind in COMMANDS.items():
+        print(f"  {name:<15} {kind.about}")
+    print("\nexample: gym-open run")
+
+
+def _unknown(words: Sequence[str]) -> int:
+    near = [name for name in COMMANDS if words[0] in name.split()]
+    if near and len(words) > 1 and words[1] in ("-h", "--help"):
+        print("\n".join(f"  gym-open {name:<15} {COMMANDS[name].about}" for name in near))
+        return 0
+    hint = f"did you mean {' or '.join(f'`gym-open {name}`' for name in near)}?" if near else "see gym-open --help"
+    print(f"error: no command {' '.join(words[:2])!r}; {hint}", file=sys.stderr)
+    return 2
