@@ -44,19 +44,44 @@ CELL_0: Final = (-0.581, 1.0559)
 
 # Objects
 RADIUS: Final = 0.05
-"""Radius of spheres and half edge of cubes."""
-MASS: Final = {"agent": 7.0, "yellow": 10.0, "green": 10.0, "heavy": 100.0, "light": 5.0}
+"""Radius of spheres and of a cone's base, half edge of cubes, half height of everything."""
+RECTANGLE_LENGTH: Final = 0.3
+"""Long edge of a rectangle: a box that lies on a cell and the two beside it."""
+MASS: Final = {
+    "agent": 7.0,
+    "yellow": 10.0,
+    "green": 10.0,
+    "heavy": 100.0,
+    "light": 5.0,
+    "push": 5.0,
+    "rectangle": 15.0,
+    "cone": 5.0,
+}
+"""The original names no mass for push sphere, rectangle and cone: ours."""
 COLOUR: Final = {
     "agent": (214, 52, 71),
     "yellow": (247, 183, 29),
     "green": (118, 162, 30),
     "heavy": (15, 76, 126),
     "light": (134, 42, 92),
+    "push": (245, 245, 245),
+    "rectangle": (91, 140, 133),
+    "cone": (180, 0, 255),
 }
+"""Colours of push sphere and cone are ours: furthest from all others, also as colour-blind people see them."""
 HIT_COLOUR: Final = {"yellow": (0, 189, 170), "green": (83, 90, 59)}
 """Colour of a goal that was touched, where rewards are on."""
-CAPACITY: Final = {"agent": 1, "yellow": 3, "green": 3, "heavy": 12, "light": 8}
-"""How many of each kind the fixed model holds; a puzzle uses some, the others are parked."""
+CAPACITY: Final = {
+    "agent": 1,
+    "yellow": 3,
+    "green": 3,
+    "heavy": 12,
+    "light": 8,
+    "push": 2,
+    "rectangle": 2,
+    "cone": 2,
+}
+"""How many bodies of each kind the fixed model holds; a puzzle uses some, the others are parked."""
 
 # Pen, ramp and danger patch, around a centre cell
 PEN_HALF: Final = 2 * PITCH

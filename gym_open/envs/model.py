@@ -11,14 +11,15 @@ import mujoco
 import numpy as np
 
 from gym_open.envs import constants as c
-from gym_open.envs.puzzles import KINDS
 
 INVENTORY: tuple[str, ...] = tuple(
     name
-    for kind in KINDS
-    for name in (["agent"] if kind == "agent" else [f"{kind}_{i}" for i in range(c.CAPACITY[kind])])
+    for kind, count in c.CAPACITY.items()
+    for name in (["agent"] if kind == "agent" else [f"{kind}_{i}" for i in range(count)])
 )
 """Names of all movable bodies, in the order of their bodies, joints and states in the model."""
+
+SPHERES = ("agent", "yellow", "green", "push")
 
 PARKING_Y = -30.0
 """Parked things stand beyond this y, far behind the camera and out of the table's reach."""
@@ -65,6 +66,9 @@ def model_xml() -> str:
     </default>
     <default class="lid"><geom contype="4" conaffinity="0" priority="1" group="4" solref="{_NO_BOUNCE}"/></default>
   </default>
+  <asset>
+    <mesh name="cone" vertex="{_text(_cone_vertices().ravel())}"/>
+  </asset>
   <worldbody>
     <light type="directional" dir="{_text(c.LIGHT_DIRECTION)}" pos="0 0 5" castshadow="false" \
 diffuse="{_text([c.LIGHT_DIFFUSE] * 3)}" ambient="{_text([c.LIGHT_AMBIENT] * 3)}" specular="0 0 0"/>
@@ -184,11 +188,9 @@ def _objects() -> list[str]:
     lines: list[str] = []
     for index, name in enumerate(INVENTORY):
         kind = kind_of(name)
-        shape = {"agent": "sphere", "yellow": "sphere", "green": "sphere"}.get(kind, "box")
-        size = f"{c.RADIUS}" if shape == "sphere" else _text([c.RADIUS] * 3)
-        parked = _text((0.3 * index, PARKING_Y, c.RADIUS))  # on the ground, apart from all others
+        parked = _text((0.4 * index, PARKING_Y, c.RADIUS))  # on the ground, apart from all others
         rest, touches = ("never", 3) if kind == "agent" else ("allowed", 7)
-        look = f'type="{shape}" size="{size}" rgba="{_rgba(c.COLOUR[kind])}"'
+        look = f'{_shape(kind)} rgba="{_rgba(c.COLOUR[kind])}"'
         lines += [
             f'<body name="{name}" pos="{parked}" sleep="{rest}">',
             f'  <freejoint name="{name}"/>',
@@ -198,19 +200,40 @@ def _objects() -> list[str]:
     return lines
 
 
+def _shape(kind: str) -> str:
+    if kind in SPHERES:
+        return f'type="sphere" size="{c.RADIUS}"'
+    if kind == "cone":
+        return 'type="mesh" mesh="cone"'
+    length = c.RECTANGLE_LENGTH / 2 if kind == "rectangle" else c.RADIUS
+    return f'type="box" size="{_text((length, c.RADIUS, c.RADIUS))}"'
+
+
+def _cone_vertices() -> np.ndarray:
+    """(25, 3) metres: a cone's base and tip around the middle of its height, so that it rests as high as a cube."""
+    angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    base = np.stack([np.cos(angles), np.sin(angles), np.full(24, -1.0)], axis=1)
+    return c.RADIUS * np.vstack([base, (0, 0, 1)])
+
+
 def _pairs() -> list[str]:
     """Contacts with settings of their own: friction acts with the ground alone, so that nothing climbs on another.
 
-    The agent glides, cubes slide, goals roll and come to rest.
+    The agent glides, spheres roll and come to rest, all else slides.
     """
-    condim = {"agent": 1, "yellow": 6, "green": 6, "heavy": 3, "light": 3}
     friction = f'friction="{_FRICTION} {_FRICTION} 0.005 {_ROLLING} {_ROLLING}" solreffriction="{_BRAKE}"'
     still = f'solref="{_NO_BOUNCE}" solimp="{_FIRM}"'
     ramp = [f'<pair geom1="{name}" geom2="agent" condim="1" {still}/>' for name in ("ramp_slope", "ramp_platform")]
     return ramp + [
-        f'<pair geom1="ground" geom2="{name}" condim="{condim[kind_of(name)]}" {friction} {still}/>'
+        f'<pair geom1="ground" geom2="{name}" condim="{_condim(kind_of(name))}" {friction} {still}/>'
         for name in INVENTORY
     ]
+
+
+def _condim(kind: str) -> int:
+    if kind == "agent":
+        return 1
+    return 6 if kind in SPHERES else 3
 
 
 def _box(
