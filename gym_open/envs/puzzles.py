@@ -2,6 +2,8 @@
 
 import functools
 import hashlib
+import re
+from collections import Counter
 from typing import Annotated, Literal, get_args
 
 import msgspec
@@ -11,7 +13,7 @@ from gym_open.envs.constants import CAPACITY, COLUMNS, ROWS
 from gym_open.errors import GymOpenError
 
 Task = Literal["sandbox", "goal-seeking", "preferences", "avoidance", "tool-use"]
-Kind = Literal["agent", "yellow", "green", "heavy", "light"]
+Kind = Literal["agent", "yellow", "green", "heavy", "light", "push", "rectangle", "cone", "stack"]
 Side = Literal["north", "east", "south", "west"]
 Row = Annotated[int, Meta(ge=0, lt=ROWS)]
 Column = Annotated[int, Meta(ge=0, lt=COLUMNS)]
@@ -20,7 +22,14 @@ Cell = tuple[int, int]
 TASKS: tuple[Task, ...] = ("goal-seeking", "preferences", "avoidance", "tool-use")
 """The four evaluation tasks; the sandbox is no task."""
 KINDS: tuple[Kind, ...] = get_args(Kind)
+"""The built-in kinds; a mesh of the user's own is of kind `mesh:NAME`."""
 GOALS: tuple[Kind, ...] = ("yellow", "green")
+CUBES: tuple[Kind, ...] = ("heavy", "light", "stack")
+STACK_HEIGHT = 2
+"""Light cubes that a stack takes from the model's."""
+CORNERS = frozenset({(0, 0), (0, COLUMNS - 1), (ROWS - 1, 0), (ROWS - 1, COLUMNS - 1)})
+"""Cells that the table's corner pieces cut off."""
+_MESH = re.compile(r"mesh:[A-Za-z0-9][A-Za-z0-9_-]*")
 _NEEDS: dict[Task, tuple[Kind, ...]] = {
     "sandbox": (),
     "goal-seeking": ("yellow",),
@@ -32,16 +41,33 @@ SIDES: dict[Side, Cell] = {"north": (-1, 0), "east": (0, 1), "south": (1, 0), "w
 """Step (row, column) towards each side; north is away from the camera."""
 
 
+_RANK: dict[str, int] = {kind: rank for rank, kind in enumerate(KINDS)}
+
+
 class PuzzleError(GymOpenError):
     """A puzzle record is malformed or impossible, or no layout satisfies a request."""
 
 
-class Placement(msgspec.Struct, frozen=True, forbid_unknown_fields=True, order=True):
-    """One object at the centre of one cell."""
+class Placement(msgspec.Struct, frozen=True, forbid_unknown_fields=True, order=True, omit_defaults=True):
+    """One object at the centre of one cell.
 
-    kind: Kind
+    Raises:
+        PuzzleError: if there is no such kind, or something else than a rectangle is turned.
+    """
+
+    kind: str
+    """One of `KINDS`, or `mesh:NAME`."""
     row: Row
     column: Column
+    turned: bool = False
+    """Of a rectangle: its long side lies along the column (y), not along the row (x)."""
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS and not _MESH.fullmatch(self.kind):
+            known = f"{', '.join(KINDS)}, or 'mesh:' and a name of letters, digits, '-' and '_'"
+            raise PuzzleError(f"puzzle: no kind {self.kind!r}; the kinds are {known}")
+        if self.turned and self.kind != "rectangle":
+            raise PuzzleError(f"puzzle: {self.kind!r} is turned, but only a rectangle can be; leave `turned` out")
 
 
 class Pen(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -98,8 +124,23 @@ class Puzzle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def arranged(objects: list[Placement]) -> tuple[Placement, ...]:
-    """The objects in canonical order: by kind, then row, then column."""
-    return tuple(sorted(objects, key=lambda item: (KINDS.index(item.kind), item.row, item.column)))
+    """The objects in canonical order: by kind (meshes last, by name), then row, then column."""
+    return tuple(sorted(objects, key=lambda item: (_RANK.get(item.kind, len(KINDS)), item)))
+
+
+def footprint(item: Placement) -> set[Cell]:
+    """The cells that an object takes: its own; of a rectangle also the two beside it along its long side."""
+    i, j = item.row, item.column
+    if item.kind != "rectangle":
+        return {(i, j)}
+    return {(i + k, j) if item.turned else (i, j + k) for k in (-1, 0, 1)}
+
+
+def bodies_used(objects: tuple[Placement, ...]) -> dict[str, int]:
+    """How many of the model's bodies of each kind the objects take: a stack is two light cubes."""
+    used = Counter(item.kind for item in objects)
+    used["light"] += STACK_HEIGHT * used.pop("stack", 0)
+    return dict(used)
 
 
 def block(row: int, column: int, reach: int) -> set[Cell]:
@@ -126,14 +167,20 @@ def check_puzzle(puzzle: Puzzle) -> None:
 
 
 def _check_objects(puzzle: Puzzle) -> None:
-    cells = [(item.row, item.column) for item in puzzle.objects]
-    for item, cell in zip(puzzle.objects, cells, strict=True):
-        if cells.count(cell) > 1:
-            raise PuzzleError(f"puzzle: two objects on cell {cell}, one of them {item.kind!r}; give each its own cell")
-    for kind in KINDS:
-        count = sum(item.kind == kind for item in puzzle.objects)
-        if count > CAPACITY[kind]:
-            raise PuzzleError(f"puzzle: {count} objects of kind {kind!r}, but the model holds {CAPACITY[kind]}")
+    holder: dict[Cell, str] = {}
+    for item in puzzle.objects:
+        for cell in sorted(footprint(item)):
+            if not (0 <= cell[0] < ROWS and 0 <= cell[1] < COLUMNS) or cell in CORNERS:
+                raise PuzzleError(
+                    f"puzzle: {item.kind!r} at {(item.row, item.column)} sticks out of the table at {cell}"
+                )
+            if cell in holder:
+                raise PuzzleError(f"puzzle: two objects on cell {cell}, {holder[cell]!r} and {item.kind!r}; move one")
+            holder[cell] = item.kind
+    for kind, count in bodies_used(puzzle.objects).items():
+        if kind in CAPACITY and count > CAPACITY[kind]:
+            note = f" (a stack takes {STACK_HEIGHT})" if kind == "light" else ""
+            raise PuzzleError(f"puzzle: {count} objects of kind {kind!r}{note}, but the model holds {CAPACITY[kind]}")
     if sum(item.kind == "agent" for item in puzzle.objects) != 1:
         raise PuzzleError("puzzle: expected exactly one object of kind 'agent'")
     for kind in _NEEDS[puzzle.task]:
@@ -148,7 +195,7 @@ def _check_pieces(puzzle: Puzzle) -> None:
         raise PuzzleError("puzzle: task 'avoidance' needs a patch")
     if puzzle.task == "tool-use" and puzzle.pen is None:
         raise PuzzleError("puzzle: task 'tool-use' needs a pen")
-    cells = {(item.row, item.column) for item in puzzle.objects}
+    cells = {cell for item in puzzle.objects for cell in footprint(item)}
     for name, piece, reach in (("pen", puzzle.pen, 2), ("patch", puzzle.patch, 1)):
         if piece and not (reach <= piece.row < ROWS - reach and reach <= piece.column < COLUMNS - reach):
             raise PuzzleError(f"puzzle: {name} around cell {(piece.row, piece.column)} sticks out of the table")
