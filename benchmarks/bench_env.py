@@ -39,8 +39,8 @@ from rich.table import Table  # noqa: E402
 from gym_open.envs import constants as c  # noqa: E402
 from gym_open.envs.env import OpenEnv  # noqa: E402
 from gym_open.envs.generators import sample_puzzle  # noqa: E402
+from gym_open.envs.puzzle_sets import test_puzzles  # noqa: E402
 from gym_open.envs.puzzles import TASKS, Puzzle  # noqa: E402
-from gym_open.envs.test_set import test_puzzles  # noqa: E402
 from gym_open.envs.world import World  # noqa: E402
 
 Play = Callable[[Puzzle, list[int]], float]

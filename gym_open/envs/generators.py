@@ -12,7 +12,7 @@ from gym_open.config import Config, Count, Fraction, PositiveInt
 from gym_open.envs import puzzles
 from gym_open.envs.constants import CAPACITY, COLUMNS, ROWS
 from gym_open.envs.puzzles import Cell, Kind, Patch, Pen, Placement, Puzzle, PuzzleError, Task
-from gym_open.envs.test_set import reserved_digests
+from gym_open.envs.puzzle_sets import reserved_digests
 
 ATTEMPTS = 200
 """Whole layouts tried before a request is called unsatisfiable."""

@@ -166,17 +166,20 @@ def check_puzzle(puzzle: Puzzle) -> None:
     _check_pieces(puzzle)
 
 
-def _check_objects(puzzle: Puzzle) -> None:
+def _check_cells(objects: tuple[Placement, ...]) -> None:
     holder: dict[Cell, str] = {}
-    for item in puzzle.objects:
+    for item in objects:
+        name = f"{item.kind!r} at {(item.row, item.column)}"
         for cell in sorted(footprint(item)):
             if not (0 <= cell[0] < ROWS and 0 <= cell[1] < COLUMNS) or cell in CORNERS:
-                raise PuzzleError(
-                    f"puzzle: {item.kind!r} at {(item.row, item.column)} sticks out of the table at {cell}"
-                )
+                raise PuzzleError(f"puzzle: {name} sticks out of the table, at cell {cell}")
             if cell in holder:
-                raise PuzzleError(f"puzzle: two objects on cell {cell}, {holder[cell]!r} and {item.kind!r}; move one")
-            holder[cell] = item.kind
+                raise PuzzleError(f"puzzle: two objects on cell {cell}, {holder[cell]} and {name}; move one")
+            holder[cell] = name
+
+
+def _check_objects(puzzle: Puzzle) -> None:
+    _check_cells(puzzle.objects)
     for kind, count in bodies_used(puzzle.objects).items():
         if kind in CAPACITY and count > CAPACITY[kind]:
             note = f" (a stack takes {STACK_HEIGHT})" if kind == "light" else ""

@@ -12,9 +12,9 @@ import pyarrow.parquet as pq
 from gym_open import artefacts, progress
 from gym_open.envs.constants import N_ACTIONS
 from gym_open.envs.env import OpenEnv
+from gym_open.envs.puzzle_sets import test_puzzles
 from gym_open.envs.puzzles import Puzzle, Task
 from gym_open.envs.tasks import step_budget
-from gym_open.envs.test_set import test_puzzles
 from gym_open.errors import ArtefactError
 from gym_open.evaluate.config import EvaluateConfig
 from gym_open.evaluate.metrics import a_success, mean_return_within

@@ -10,8 +10,8 @@ from typing import Literal
 import msgspec
 
 from gym_open.artefacts import Lineage, Parent
+from gym_open.envs.puzzle_sets import test_puzzles
 from gym_open.envs.puzzles import TASKS
-from gym_open.envs.test_set import test_puzzles
 
 Verdict = Literal["proven", "no encoder", "missing"]
 

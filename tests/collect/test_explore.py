@@ -26,7 +26,7 @@ from gym_open.collect.pool import Pool, sample_pool
 from gym_open.config import to_dict
 from gym_open.envs.generators import SandboxConfig
 from gym_open.envs.model import fixed_model
-from gym_open.envs.test_set import reserved_digests
+from gym_open.envs.puzzle_sets import reserved_digests
 from gym_open.envs.world import World
 from gym_open.errors import ConfigError, GymOpenError
 from gym_open.formats.log_container import Logged, whole_chunks

@@ -15,10 +15,10 @@ import gym_open
 from gym_open.envs import constants as c
 from gym_open.envs.env import EnvSnapshot, OpenEnv
 from gym_open.envs.generators import SandboxConfig, sample_puzzle
+from gym_open.envs.puzzle_sets import reserved_digests
+from gym_open.envs.puzzle_sets import test_puzzles as fixed_puzzles
 from gym_open.envs.puzzles import TASKS, Patch, Pen, Placement, Puzzle, PuzzleError, Task, arranged
 from gym_open.envs.tasks import step_budget
-from gym_open.envs.test_set import reserved_digests
-from gym_open.envs.test_set import test_puzzles as fixed_puzzles
 
 ALL_TASKS: tuple[Task, ...] = ("sandbox", *TASKS)
 EAST, NORTH, WEST, SOUTH = 1, 3, 5, 7

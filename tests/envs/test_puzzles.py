@@ -11,10 +11,21 @@ from hypothesis import strategies as st
 from gym_open.config import load
 from gym_open.envs import generators, puzzles
 from gym_open.envs.generators import SandboxConfig, sample_puzzle
-from gym_open.envs.make_test_puzzles import test_set_bytes as make_test_set_bytes
+from gym_open.envs.make_puzzle_sets import set_bytes
+from gym_open.envs.puzzle_sets import (
+    SPLITS,
+    actual_digests,
+    data_file,
+    locate,
+    published_digests,
+    puzzle_by_id,
+    puzzle_id,
+    puzzles_of,
+    reserved_digests,
+    set_name,
+)
+from gym_open.envs.puzzle_sets import test_puzzles as fixed_puzzles
 from gym_open.envs.puzzles import TASKS, Patch, Pen, Placement, Puzzle, PuzzleError, Task, arranged
-from gym_open.envs.test_set import reserved_digests
-from gym_open.envs.test_set import test_puzzles as fixed_puzzles
 from gym_open.errors import ConfigError
 
 ALL_TASKS: tuple[Task, ...] = ("sandbox", *TASKS)
@@ -107,13 +118,42 @@ def test_sandbox_pool_is_varied() -> None:
     assert 25 <= sum(puzzle.patch is not None for puzzle in pool) <= 75
 
 
-def test_test_sets_are_reproducible_and_distinct() -> None:
-    for task, data in make_test_set_bytes().items():
-        assert b"".join(puzzle.to_json() + b"\n" for puzzle in fixed_puzzles(task)) == data
-        assert all(puzzle.task == task for puzzle in fixed_puzzles(task))
-        for puzzle in fixed_puzzles(task):
+def test_fixed_sets_are_reproducible_distinct_and_as_published() -> None:
+    made = set_bytes()
+    for task, split in itertools.product(TASKS, SPLITS):
+        name = set_name(task, split)
+        assert data_file(name).read_bytes() == made[name]
+        for puzzle in puzzles_of(task, split):
+            assert puzzle.task == task
             assert_well_laid(puzzle)
-    assert len(reserved_digests()) == 400
+    assert len(reserved_digests()) == 800
+    assert published_digests() == actual_digests()
+    assert set(made) <= set(published_digests())
+
+
+def test_test_sets_are_those_of_version_1() -> None:
+    first = {
+        "avoidance": "f6a41c13cbe05bc7",
+        "goal-seeking": "90b2157ee23e417d",
+        "preferences": "e9fdaedbba45de14",
+        "tool-use": "bf478249216fdab6",
+    }
+    assert {task: published_digests()[set_name(task, "test")][:16] for task in TASKS} == first
+
+
+def test_ids_name_the_fixed_puzzles() -> None:
+    assert puzzle_by_id("tool-use/017") == fixed_puzzles("tool-use")[17]
+    assert puzzle_by_id("avoidance/validation/099") == puzzles_of("avoidance", "validation")[99]
+    for task, split, index in itertools.product(TASKS, SPLITS, (0, 42)):
+        assert locate(puzzle_id(task, split, index)) == (task, split, index)
+
+
+@pytest.mark.parametrize(
+    "name", ["tool-use", "tool-use/17", "tool-use/100", "sandbox/000", "tool-use/train/000", "tool-use/-01", "/", ""]
+)
+def test_unknown_ids_are_refused_with_their_form(name: str) -> None:
+    with pytest.raises(PuzzleError, match="ids are TASK/000 to TASK/099"):
+        puzzle_by_id(name)
 
 
 def test_training_never_draws_a_test_layout(monkeypatch: pytest.MonkeyPatch) -> None:

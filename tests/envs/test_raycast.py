@@ -16,9 +16,9 @@ from PIL import Image
 
 from gym_open.envs import constants as c
 from gym_open.envs import jit
+from gym_open.envs.puzzle_sets import test_puzzles as fixed_puzzles
 from gym_open.envs.puzzles import SIDES, TASKS, Patch, Pen, Placement, Puzzle, arranged
 from gym_open.envs.raycast import Shapes, empty_picture, observation_camera, paint, rotations
-from gym_open.envs.test_set import test_puzzles as fixed_puzzles
 from gym_open.envs.world import World
 
 

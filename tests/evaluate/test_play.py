@@ -5,9 +5,9 @@ import pytest
 
 from gym_open.envs.constants import N_ACTIONS
 from gym_open.envs.env import OpenEnv
+from gym_open.envs.puzzle_sets import test_puzzles as fixed_puzzles
 from gym_open.envs.puzzles import TASKS, Task
 from gym_open.envs.tasks import step_budget
-from gym_open.envs.test_set import test_puzzles as fixed_puzzles
 from gym_open.evaluate import a_success
 from gym_open.evaluate.config import EvaluateConfig
 from gym_open.evaluate.play import Episodes, play, summarise
