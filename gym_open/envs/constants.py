@@ -4,6 +4,7 @@ Frame: x to the right, y away from the camera, z up, table top at z = 0. Figures
 unless a comment says otherwise.
 """
 
+import math
 from typing import Final
 
 import numpy as np
@@ -83,6 +84,11 @@ CAPACITY: Final = {
 }
 """How many bodies of each kind the fixed model holds; a puzzle uses some, the others are parked."""
 
+FRICTION: Final = 0.35
+"""Of anything but the agent with the table: the original's 0.1, averaged by Unity with the table's default of 0.6."""
+BOUNCINESS: Final = 0.6
+"""Two objects keep the mean of theirs of their closing speed; the walls' own is 0, so that a wall leaves half of it."""
+
 # Pen, ramp and danger patch, around a centre cell
 PEN_HALF: Final = 2 * PITCH
 """Distance of the pen's wall centre lines from its centre: it holds 3×3 cells, 5×5 with the walls."""
@@ -114,7 +120,9 @@ CAMERA_EULER: Final = (43.376, 25.489, 1.481)
 FIELD_OF_VIEW: Final = 60.0
 
 # Light: one directional light and an even one; no specular reflection, no shadow
-LIGHT_DIRECTION: Final = (0.35, 0.45, -0.82)
+LIGHT_ANGLE_DEG: Final = 232.0
+"""Azimuth that it comes from, counter-clockwise from +x: from behind the camera, to the left."""
+LIGHT_ELEVATION_DEG: Final = 55.0
 LIGHT_DIFFUSE: Final = 0.55
 LIGHT_AMBIENT: Final = 0.5
 
@@ -124,12 +132,23 @@ def cell_centre(row: int, column: int) -> tuple[float, float]:
     return CELL_0[0] + column * PITCH, CELL_0[1] - row * PITCH
 
 
-def camera_axes() -> np.ndarray:
+def light_direction(angle_deg: float, elevation_deg: float) -> tuple[float, float, float]:
+    """Unit vector in which light travels that comes from this azimuth and height above the horizon."""
+    angle, elevation = math.radians(angle_deg), math.radians(elevation_deg)
+    level = math.cos(elevation)
+    return -level * math.cos(angle), -level * math.sin(angle), -math.sin(elevation)
+
+
+LIGHT_DIRECTION: Final = light_direction(LIGHT_ANGLE_DEG, LIGHT_ELEVATION_DEG)
+
+
+def camera_axes(direction: tuple[float, float, float] = CAMERA_EULER) -> np.ndarray:
     """Camera frame (3, 3): rows are its right, up and forward unit vectors in our frame.
 
+    `direction` is pitch down, yaw to the right and roll in degrees.
     Unity turns about z, then x, then y in a left-handed frame; swapping its y and z gives our right-handed one.
     """
-    pitch, yaw, roll = np.deg2rad(CAMERA_EULER)
+    pitch, yaw, roll = np.deg2rad(direction)
     cp, sp, cy, sy, cr, sr = np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw), np.cos(roll), np.sin(roll)
     about_x = np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]])
     about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
