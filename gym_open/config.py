@@ -71,7 +71,7 @@ def to_dict(config: Config) -> dict[str, Any]:
 
 def _explain(message: str, raw: dict[str, Any], kind: type[Config]) -> str:
     place = _PATH.search(message)
-    keys = [key for key in (place["path"] if place else "").split(".") if key]
+    keys = re.findall(r"[^.\[\]]+", place["path"]) if place else []
     text = _PATH.sub("", message)
     if unknown := _UNKNOWN.search(text):
         key = unknown["key"]
@@ -81,8 +81,13 @@ def _explain(message: str, raw: dict[str, Any], kind: type[Config]) -> str:
         return f"unknown key `{'.'.join([*keys, key])}`; {hint}"
     value: Any = raw
     for key in keys:
-        value = value.get(key) if isinstance(value, dict) else None
+        value = value.get(key) if isinstance(value, dict) else _item(value, key)
     return f"key `{'.'.join(keys)}`: {text[0].lower()}{text[1:]}, got {value!r}"
+
+
+def _item(value: Any, key: str) -> Any:
+    listed = isinstance(value, list | tuple) and key.isdecimal() and int(key) < len(value)
+    return value[int(key)] if listed else None
 
 
 def _fields_at(kind: type[Config], keys: list[str]) -> list[str]:

@@ -11,8 +11,8 @@ import numpy as np
 from gym_open.config import Config, Count, Fraction, PositiveInt
 from gym_open.envs import puzzles
 from gym_open.envs.constants import CAPACITY, COLUMNS, ROWS
-from gym_open.envs.puzzles import Cell, Kind, Patch, Pen, Placement, Puzzle, PuzzleError, Task
 from gym_open.envs.puzzle_sets import reserved_digests
+from gym_open.envs.puzzles import Cell, Column, Kind, Patch, Pen, Placement, Puzzle, PuzzleError, Row, Side, Task
 
 ATTEMPTS = 200
 """Whole layouts tried before a request is called unsatisfiable."""
@@ -23,6 +23,10 @@ CENTRES = tuple((i, j) for i in range(3, 13) for j in range(3, 6))
 """Where pens and danger patches may be centred."""
 LINES = ((0, 2), (0, 3), (1, 2), (1, 3), (1, 4), (1, 5))
 """Preferences: axis of the line (0 along a row, 1 along a column) and cells from the agent to either goal that fit."""
+
+
+COUNTED: tuple[Kind, ...] = tuple(kind for kind in puzzles.KINDS if kind != "agent")
+"""Kinds that a sandbox world holds a number of."""
 
 
 class SandboxConfig(Config, frozen=True):
@@ -36,12 +40,30 @@ class SandboxConfig(Config, frozen=True):
     """Heavy cubes."""
     light: tuple[Count, Count] = (1, 5)
     """Light cubes."""
+    push: tuple[Count, Count] = (0, 0)
+    """Push spheres."""
+    rectangle: tuple[Count, Count] = (0, 0)
+    """Rectangles, lying along either axis."""
+    cone: tuple[Count, Count] = (0, 0)
+    """Cones."""
+    stack: tuple[Count, Count] = (0, 0)
+    """Stacks of two light cubes, which are taken from those that the model holds."""
+    meshes: tuple[str, ...] = ()
+    """Names of the user's own meshes, one object each; the world must hold them (`WorldOptions.meshes`)."""
+    agent_cell: tuple[Row, Column] | None = None
+    """Where the agent starts; None draws it."""
+    yellow_cells: tuple[tuple[Row, Column], ...] = ()
+    """Where yellow goal spheres lie; the others are drawn."""
     radius: PositiveInt = 3
     """Goal spheres lie within this many cells of the agent, neither on its row nor on its column."""
     pen_probability: Fraction = 0.25
     """Share of worlds where the agent starts in a pen with a ramp."""
     patch_probability: Fraction = 0.25
     """Share of worlds with a danger patch."""
+
+    def counts(self) -> dict[Kind, tuple[int, int]]:
+        """Smallest and largest count of each kind, in the order they are drawn."""
+        return {kind: getattr(self, kind) for kind in COUNTED}
 
 
 _DEFAULT_SANDBOX = SandboxConfig()
@@ -70,19 +92,33 @@ class _Layout:
             raise _NoRoomError
         return cells[int(self.rng.integers(len(cells)))]
 
-    def place(self, kind: Kind, cell: Cell) -> Cell:
-        self.objects.append(Placement(kind, *cell))
-        self.taken.add(cell)
-        if kind in ("heavy", "light"):
+    def place(self, kind: str, cell: Cell, *, turned: bool = False) -> Cell:
+        item = Placement(kind, *cell, turned=turned)
+        self.objects.append(item)
+        self.taken |= puzzles.footprint(item)
+        if kind in puzzles.CUBES:
             self.cubes.add(cell)
         return cell
+
+    def place_anywhere(self, kind: str) -> None:
+        if kind in puzzles.CUBES:
+            self.place_cube(kind)
+        elif kind == "rectangle":
+            lying = [Placement(kind, *cell, turned=turned) for cell in INTERIOR for turned in (False, True)]
+            fits = [item for item in lying if puzzles.footprint(item) <= set(self.free())]
+            if not fits:
+                raise _NoRoomError
+            item = fits[int(self.rng.integers(len(fits)))]
+            self.place(kind, (item.row, item.column), turned=item.turned)
+        else:
+            self.place(kind, self.pick(self.free()))
 
     def may_hold_cube(self, cell: Cell) -> bool:
         """A cube never stands beside another cube, on either axis."""
         i, j = cell
         return self.cubes.isdisjoint({(i - 1, j), (i + 1, j), (i, j - 1), (i, j + 1)})
 
-    def place_cube(self, kind: Kind) -> None:
+    def place_cube(self, kind: str) -> None:
         self.place(kind, self.pick([cell for cell in self.free() if self.may_hold_cube(cell)]))
 
     def place_cubes(self, least: int, most: int) -> None:
@@ -95,17 +131,32 @@ class _Layout:
         self.patch = Patch(*self.pick(centres))
         self.taken |= puzzles.block(self.patch.row, self.patch.column, 1)
 
-    def place_pen(self) -> Cell:
-        """Put up a pen with its ramp, the agent inside; the cell behind the ramp, where it lands, stays free."""
+    def place_pen(self, agent: Cell | None = None) -> Cell:
+        """Put up a pen with its ramp, the agent inside, around the agent if that has its cell already.
+
+        The cell behind the ramp, where the agent lands, stays free.
+        """
         side = puzzles.Side.__args__[int(self.rng.integers(4))]
-        row, column = self.pick(list(CENTRES))
-        self.pen = pen = Pen(row, column, side)
-        i, j = puzzles.SIDES[side]
-        self.taken |= puzzles.pen_wall_cells(pen) | puzzles.ramp_cells(pen) | {(row + 3 * i, column + 3 * j)}
-        return self.place("agent", self.pick(self.free(sorted(puzzles.block(row, column, 1)))))
+        pens = [pen for pen in pens_around(agent, side) if self.taken.isdisjoint(_kept_free(pen))]
+        if not pens:
+            raise _NoRoomError
+        self.pen = pen = pens[int(self.rng.integers(len(pens)))]
+        self.taken |= _kept_free(pen)
+        return agent or self.place("agent", self.pick(self.free(sorted(puzzles.block(pen.row, pen.column, 1)))))
 
     def puzzle(self, task: Task) -> Puzzle:
         return Puzzle(task=task, objects=puzzles.arranged(self.objects), pen=self.pen, patch=self.patch)
+
+
+def pens_around(agent: Cell | None, side: Side) -> list[Pen]:
+    """The pens, with the ramp on this side, where the agent's cell (None: any) is inside and not under the ramp."""
+    pens = [Pen(*centre, side) for centre in CENTRES]
+    return [p for p in pens if agent is None or agent in puzzles.block(p.row, p.column, 1) - puzzles.ramp_cells(p)]
+
+
+def _kept_free(pen: Pen) -> set[Cell]:
+    i, j = puzzles.SIDES[pen.ramp_side]
+    return puzzles.pen_wall_cells(pen) | puzzles.ramp_cells(pen) | {(pen.row + 3 * i, pen.column + 3 * j)}
 
 
 def _goal_seeking(layout: _Layout) -> None:
@@ -150,24 +201,27 @@ def _tool_use(layout: _Layout) -> None:
 
 def _sandbox(layout: _Layout, config: SandboxConfig) -> None:
     rng = layout.rng
-    counts: dict[Kind, int] = {
-        "yellow": int(rng.integers(config.yellow[0], config.yellow[1] + 1)),
-        "green": int(rng.integers(config.green[0], config.green[1] + 1)),
-        "heavy": int(rng.integers(config.heavy[0], config.heavy[1] + 1)),
-        "light": int(rng.integers(config.light[0], config.light[1] + 1)),
-    }
+    counts = {kind: int(rng.integers(least, most + 1)) for kind, (least, most) in config.counts().items()}
     penned, patched = rng.random() < config.pen_probability, rng.random() < config.patch_probability
-    agent = layout.place_pen() if penned else layout.place("agent", layout.pick(layout.free()))
+    agent = config.agent_cell and layout.place("agent", config.agent_cell)
+    for cell in config.yellow_cells:
+        layout.place("yellow", cell)
+    if penned:
+        agent = layout.place_pen(agent)
+    agent = agent or layout.place("agent", layout.pick(layout.free()))
     if patched:
         layout.place_patch()
+    counts["yellow"] -= len(config.yellow_cells)
     for kind in puzzles.GOALS:
-        for _ in range(counts[kind]):
+        for _ in range(counts.pop(kind)):
             near = puzzles.block(*agent, config.radius)
             near = [cell for cell in layout.free() if cell in near and cell[0] != agent[0] and cell[1] != agent[1]]
             layout.place(kind, layout.pick(near))
-    for kind in ("heavy", "light"):
+    for name in config.meshes:
+        layout.place_anywhere(f"mesh:{name}")
+    for kind in sorted(counts, key=lambda kind: kind in puzzles.CUBES):  # cubes, which keep apart, come last
         for _ in range(counts[kind]):
-            layout.place_cube(kind)
+            layout.place_anywhere(kind)
 
 
 def draw_layout(task: Task, rng: np.random.Generator, sandbox: SandboxConfig = _DEFAULT_SANDBOX) -> Puzzle:
@@ -220,14 +274,29 @@ _RECIPES = {
 
 
 def _check_sandbox(config: SandboxConfig) -> None:
-    pairs: dict[Kind, tuple[int, int]] = {
-        "yellow": config.yellow,
-        "green": config.green,
-        "heavy": config.heavy,
-        "light": config.light,
-    }
-    for kind, (least, most) in pairs.items():
+    for kind, (least, most) in config.counts().items():
         if least > most:
             raise PuzzleError(f"sandbox.{kind}: expected smallest ≤ largest, got {(least, most)}; swap them")
-        if most > CAPACITY[kind]:
+        if kind in CAPACITY and most > CAPACITY[kind]:
             raise PuzzleError(f"sandbox.{kind}: at most {CAPACITY[kind]} fit the model, got {most}; ask for fewer")
+    lights = config.light[1] + puzzles.STACK_HEIGHT * config.stack[1]
+    if lights > CAPACITY["light"]:
+        asked = f"{config.stack[1]} stacks of {puzzles.STACK_HEIGHT} and {config.light[1]} more light cubes"
+        raise PuzzleError(f"sandbox.stack: {asked}, but the model holds {CAPACITY['light']} light cubes")
+    _check_cells(config)
+
+
+def _check_cells(config: SandboxConfig) -> None:
+    agent, yellow = config.agent_cell, config.yellow_cells
+    if len(yellow) > config.yellow[0]:
+        raise PuzzleError(f"sandbox.yellow_cells: {len(yellow)} cells for at least {config.yellow[0]} yellow spheres")
+    cells = [*yellow, agent] if agent else [*yellow]
+    for cell in cells:
+        if cells.count(cell) > 1:
+            raise PuzzleError(f"sandbox.agent_cell and .yellow_cells: two objects on cell {cell}; give each its own")
+        if cell in puzzles.CORNERS:
+            raise PuzzleError(f"sandbox: cell {cell} is cut off by the table's corner; choose another")
+    if agent and config.pen_probability and not any(pens_around(agent, side) for side in puzzles.SIDES):
+        rows, columns = (sorted({cell[k] for cell in CENTRES}) for k in (0, 1))
+        inside = f"rows {rows[0] - 1} to {rows[-1] + 1}, columns {columns[0] - 1} to {columns[-1] + 1}"
+        raise PuzzleError(f"sandbox.agent_cell: no pen has cell {agent} inside, only cells of {inside}")
