@@ -1,7 +1,7 @@
-"""An analytic ray caster for spheres and boxes: the observation, without OpenGL.
+"""An analytic ray caster for spheres, boxes and meshes: the observation, without OpenGL.
 
-Colour, depth and segmentation come out together. Light is Lambert's, from one directional and one even light, as
-`mujoco.Renderer` shades the same scene without specular reflection and shadow: the parity test holds it to that.
+Colour, depth, segmentation and normals come out together. Light is Lambert's, from one directional and one even light,
+as `mujoco.Renderer` shades the same scene without specular reflection and shadow: the parity test holds it to that.
 Numba does not notice changed constants of other modules in its cache, so everything comes in as an argument.
 """
 
@@ -9,8 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gym_open.envs import constants as c
 from gym_open.envs.jit import compiled
+
+SPHERE, BOX, MESH = 0, 1, 2
+"""Forms of a shape."""
 
 
 class Camera(NamedTuple):
@@ -36,13 +38,24 @@ class Shapes(NamedTuple):
     rotation: np.ndarray
     """(n, 3, 3): columns are the body's axes."""
     size: np.ndarray
-    """(n, 3): half edges; a sphere's radius three times."""
-    sphere: np.ndarray
-    """(n,) bool."""
+    """(n, 3): half edges of a box; three times the radius of a sphere, or of the ball that holds a mesh."""
+    form: np.ndarray
+    """(n,) int8: `SPHERE`, `BOX` or `MESH`."""
+    mesh: np.ndarray
+    """(n, 2) int32: first and past-last of a mesh's triangles."""
     colour: np.ndarray
     """(n, 3): 0–255."""
     label: np.ndarray
     """(n,) int32: what segmentation shows."""
+
+
+class Triangles(NamedTuple):
+    """The triangles of all meshes, each in its body's frame; seen only from the side where its corners turn left."""
+
+    corner: np.ndarray
+    """(T, 3, 3) metres."""
+    normal: np.ndarray
+    """(T, 3, 3): unit vector at each corner; light varies evenly between them."""
 
 
 class Picture(NamedTuple):
@@ -54,22 +67,28 @@ class Picture(NamedTuple):
     """(height, width) metres along forward; infinite where there is nothing."""
     label: np.ndarray
     """(height, width) int32; −1 where there is nothing."""
+    normal: np.ndarray
+    """(height, width, 3) float32: unit vectors out of what is seen, in the world's frame; 0 where there is nothing."""
 
 
-def observation_camera() -> Camera:
-    """The original's camera."""
-    axes = c.camera_axes()
-    slope = float(np.tan(np.deg2rad(c.FIELD_OF_VIEW) / 2))
-    grid = ((np.arange(c.IMAGE_SIZE) + 0.5) / c.IMAGE_SIZE * 2 - 1) * slope
+def square_camera(
+    position: np.ndarray, axes: np.ndarray, field_of_view_deg: float, size: int, light: np.ndarray
+) -> Camera:
+    """A camera whose pictures are `size` pixels high and wide; the other arguments as in `Camera`."""
+    slope = float(np.tan(np.deg2rad(field_of_view_deg) / 2))
+    grid = ((np.arange(size) + 0.5) / size * 2 - 1) * slope
     rays = grid[None, :, None] * axes[0] - grid[:, None, None] * axes[1] + axes[2]
-    light = -np.array(c.LIGHT_DIRECTION) / np.linalg.norm(c.LIGHT_DIRECTION)
-    return Camera(np.array(c.CAMERA_POSITION), axes, rays, slope, np.array([*light, c.LIGHT_DIFFUSE, c.LIGHT_AMBIENT]))
+    return Camera(position, axes, rays, slope, light)
 
 
-def empty_picture() -> Picture:
+def empty_picture(size: int) -> Picture:
     """A black picture of nothing."""
-    size = (c.IMAGE_SIZE, c.IMAGE_SIZE)
-    return Picture(np.zeros((*size, 3), np.uint8), np.full(size, np.inf), np.full(size, -1, np.int32))
+    return Picture(
+        np.zeros((size, size, 3), np.uint8),
+        np.full((size, size), np.inf),
+        np.full((size, size), -1, np.int32),
+        np.zeros((size, size, 3), np.float32),
+    )
 
 
 @compiled
@@ -86,6 +105,8 @@ def rotations(quaternion: np.ndarray, out: np.ndarray) -> None:
 def _span(across: float, ahead: float, reach: float, slope: float, pixels: int) -> tuple[int, int]:
     """First and past-last pixel of one image axis that a ball of radius `reach` can touch."""
     near, far = ahead - reach, ahead + reach
+    if far <= 0:
+        return 0, 0
     if near <= 0:
         return 0, pixels
     low, high = across - reach, across + reach
@@ -108,7 +129,7 @@ def _hit_sphere(ray: np.ndarray, offset: np.ndarray, radius: float, normal: np.n
     t = (b - np.sqrt(under)) / a
     for k in range(3):
         normal[k] = (t * ray[k] - offset[k]) / radius
-    return t
+    return t if t > 0 else np.inf
 
 
 @compiled
@@ -137,28 +158,119 @@ def _hit_box(ray: np.ndarray, offset: np.ndarray, turn: np.ndarray, half: np.nda
 
 
 @compiled
-def paint(shapes: Shapes, count: int, camera: Camera, picture: Picture) -> None:
-    """Cast the first `count` shapes into the picture, each only inside its screen rectangle."""
+def _brightness(normal: np.ndarray, light: np.ndarray) -> float:
+    facing = normal[0] * light[0] + normal[1] * light[1] + normal[2] * light[2]
+    return light[4] + light[3] * max(facing, 0.0)
+
+
+@compiled
+def _set_pixel(  # noqa: PLR0917  # numba takes arrays, not objects
+    picture: Picture, row: int, column: int, shapes: Shapes, i: int, depth: float, bright: float, normal: np.ndarray
+) -> None:
+    """Show shape `i` at this pixel, in its colour times `bright`."""
+    picture.depth[row, column] = depth
+    picture.label[row, column] = shapes.label[i]
+    for k in range(3):
+        picture.rgb[row, column, k] = np.uint8(min(shapes.colour[i, k] * bright, 255.0) + 0.5)
+        picture.normal[row, column, k] = normal[k]
+
+
+@compiled
+def _turned(turn: np.ndarray, x: float, y: float, z: float) -> tuple[float, float, float]:
+    return (
+        turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z,
+        turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z,
+        turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z,
+    )
+
+
+@compiled
+def _cross(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@compiled
+def _centres_between(a: float, b: float, c: float, slope: float, pixels: int) -> tuple[int, int]:
+    """First and past-last pixel of one image axis whose centre is between the least and greatest of three slopes."""
+    low, high = min(a, b, c) / slope, max(a, b, c) / slope
+    first = np.ceil((max(low, -1.0) + 1) / 2 * pixels - 0.5)
+    last = np.floor((min(high, 1.0) + 1) / 2 * pixels - 0.5)
+    return int(first), min(int(last) + 1, pixels)
+
+
+@compiled
+def _paint_triangle(  # noqa: PLR0917  # numba takes arrays, not objects
+    shapes: Shapes, i: int, corner: np.ndarray, normals: np.ndarray, camera: Camera, picture: Picture
+) -> None:
+    """Cast one triangle of mesh `i`: its corners in the camera's frame, their normals in the world's, (3, 3) each."""
+    height, width = picture.depth.shape
+    a, b, c = corner[0], corner[1], corner[2]
+    # A ray (x, y, 1) crosses the triangle's plane at depth a·(b×c) / Σ weights, inside it if no weight is negative.
+    p, q, r = _cross(b, c), _cross(c, a), _cross(a, b)
+    volume = a[0] * p[0] + a[1] * p[1] + a[2] * p[2]
+    if volume <= 0 or max(a[2], b[2], c[2]) <= 0:  # its back, or behind the camera
+        return
+    left, right, top, bottom = 0, width, 0, height
+    if min(a[2], b[2], c[2]) > 0:
+        left, right = _centres_between(a[0] / a[2], b[0] / b[2], c[0] / c[2], camera.slope, width)
+        top, bottom = _centres_between(-a[1] / a[2], -b[1] / b[2], -c[1] / c[2], camera.slope, height)
+    normal = np.empty(3)
+    for row in range(top, bottom):
+        y = -((row + 0.5) / height * 2 - 1) * camera.slope
+        for column in range(left, right):
+            x = ((column + 0.5) / width * 2 - 1) * camera.slope
+            u, v, w = x * p[0] + y * p[1] + p[2], x * q[0] + y * q[1] + q[2], x * r[0] + y * r[1] + r[2]
+            total = u + v + w
+            if min(u, v, w) < 0 or volume >= picture.depth[row, column] * total:
+                continue
+            bright = 0.0
+            for weight, own in ((u, normals[0]), (v, normals[1]), (w, normals[2])):
+                bright += weight / total * _brightness(own, camera.light)
+            for k in range(3):
+                normal[k] = u * normals[0, k] + v * normals[1, k] + w * normals[2, k]
+            normal /= np.sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2])
+            _set_pixel(picture, row, column, shapes, i, volume / total, bright, normal)
+
+
+@compiled
+def _paint_mesh(  # noqa: PLR0917  # numba takes arrays, not objects
+    shapes: Shapes, i: int, triangles: Triangles, camera: Camera, place: np.ndarray, picture: Picture
+) -> None:
+    """Cast mesh `i`, whose origin is at `place` in the camera's frame."""
+    turn, view = shapes.rotation[i], np.empty((3, 3))
+    corner, normal = np.empty((3, 3)), np.empty((3, 3))
+    for k in range(3):
+        view[0, k], view[1, k], view[2, k] = _turned(camera.axes, turn[0, k], turn[1, k], turn[2, k])
+    for t in range(shapes.mesh[i, 0], shapes.mesh[i, 1]):
+        for j in range(3):
+            point, way = triangles.corner[t, j], triangles.normal[t, j]
+            x, y, z = _turned(view, point[0], point[1], point[2])
+            corner[j, 0], corner[j, 1], corner[j, 2] = x + place[0], y + place[1], z + place[2]
+            normal[j, 0], normal[j, 1], normal[j, 2] = _turned(turn, way[0], way[1], way[2])
+        _paint_triangle(shapes, i, corner, normal, camera, picture)
+
+
+@compiled
+def paint(shapes: Shapes, triangles: Triangles, camera: Camera, picture: Picture) -> None:
+    """Cast the shapes into the picture, each only inside its screen rectangle."""
     height, width = picture.depth.shape
     normal, offset, place = np.empty(3), np.empty(3), np.empty(3)
-    for i in range(count):
-        half, turn, sphere = shapes.size[i], shapes.rotation[i], shapes.sphere[i]
-        offset[:] = shapes.position[i] - camera.position
-        reach = half[0] if sphere else np.sqrt(half[0] * half[0] + half[1] * half[1] + half[2] * half[2])
+    for i in range(shapes.label.shape[0]):
+        half, turn, form = shapes.size[i], shapes.rotation[i], shapes.form[i]
         for k in range(3):
-            axis = camera.axes[k]
-            place[k] = axis[0] * offset[0] + axis[1] * offset[1] + axis[2] * offset[2]
+            offset[k] = shapes.position[i, k] - camera.position[k]
+        reach = np.sqrt(half[0] * half[0] + half[1] * half[1] + half[2] * half[2]) if form == BOX else half[0]
+        place[0], place[1], place[2] = _turned(camera.axes, offset[0], offset[1], offset[2])
         left, right = _span(place[0], place[2], reach, camera.slope, width)
         top, bottom = _span(-place[1], place[2], reach, camera.slope, height)
+        if form == MESH:
+            if left < right and top < bottom:
+                _paint_mesh(shapes, i, triangles, camera, place, picture)
+            continue
+        sphere = form == SPHERE
         for row in range(top, bottom):
             for column in range(left, right):
                 ray = camera.rays[row, column]
                 t = _hit_sphere(ray, offset, reach, normal) if sphere else _hit_box(ray, offset, turn, half, normal)
-                if t >= picture.depth[row, column]:
-                    continue
-                facing = normal[0] * camera.light[0] + normal[1] * camera.light[1] + normal[2] * camera.light[2]
-                bright = camera.light[4] + camera.light[3] * max(facing, 0.0)
-                picture.depth[row, column] = t
-                picture.label[row, column] = shapes.label[i]
-                for k in range(3):
-                    picture.rgb[row, column, k] = np.uint8(min(shapes.colour[i, k] * bright, 255.0) + 0.5)
+                if t < picture.depth[row, column]:
+                    _set_pixel(picture, row, column, shapes, i, t, _brightness(normal, camera.light), normal)

@@ -18,8 +18,17 @@ from gym_open.envs import constants as c
 from gym_open.envs import jit
 from gym_open.envs.puzzle_sets import test_puzzles as fixed_puzzles
 from gym_open.envs.puzzles import SIDES, TASKS, Patch, Pen, Placement, Puzzle, arranged
-from gym_open.envs.raycast import Shapes, empty_picture, observation_camera, paint, rotations
+from gym_open.envs.model import fixed_model
+from gym_open.envs.raycast import BOX, SPHERE, Camera, Shapes, Triangles, empty_picture, paint, rotations
+from gym_open.envs.scene import model_camera
 from gym_open.envs.world import World
+
+
+NO_TRIANGLES = Triangles(np.zeros((0, 3, 3)), np.zeros((0, 3, 3)))
+
+
+def observation_camera() -> Camera:
+    return model_camera(fixed_model(), c.IMAGE_SIZE)
 
 
 def on_screen(point: np.ndarray) -> np.ndarray:
@@ -76,7 +85,9 @@ def random_shapes(rng: np.random.Generator, count: int) -> Shapes:
     position = rng.uniform([-0.6, -1, 0], [0.6, 1, 0.3], (count, 3))
     sphere = rng.random(count) < 0.5
     size = np.where(sphere[:, None], rng.uniform(0.03, 0.2, (count, 1)), rng.uniform(0.02, 0.3, (count, 3)))
-    return Shapes(position, turns, size, sphere, rng.uniform(0, 255, (count, 3)), np.arange(count, dtype=np.int32))
+    form = np.where(sphere, SPHERE, BOX).astype(np.int8)
+    colour = rng.uniform(0, 255, (count, 3))
+    return Shapes(position, turns, size, form, np.zeros((count, 2), np.int32), colour, np.arange(count, dtype=np.int32))
 
 
 def brute_depth(shapes: Shapes, i: int) -> np.ndarray:
@@ -84,7 +95,7 @@ def brute_depth(shapes: Shapes, i: int) -> np.ndarray:
     camera = observation_camera()
     rays = camera.rays
     start = camera.position - shapes.position[i]
-    if shapes.sphere[i]:
+    if shapes.form[i] == SPHERE:
         a, b = (rays**2).sum(-1), 2 * rays @ start
         under = b**2 - 4 * a * (start @ start - shapes.size[i, 0] ** 2)
         with np.errstate(invalid="ignore"):
@@ -104,8 +115,8 @@ def brute_depth(shapes: Shapes, i: int) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(4))
 def test_rectangles_cut_nothing_off(seed: int) -> None:
     shapes = random_shapes(np.random.default_rng(seed), 12)
-    picture = empty_picture()
-    paint(shapes, 12, observation_camera(), picture)
+    picture = empty_picture(c.IMAGE_SIZE)
+    paint(shapes, NO_TRIANGLES, observation_camera(), picture)
     depths = np.array([brute_depth(shapes, i) for i in range(12)])
     np.testing.assert_allclose(picture.depth, depths.min(axis=0), rtol=1e-9)
     labels = np.where(np.isinf(depths.min(axis=0)), -1, depths.argmin(axis=0))
@@ -129,12 +140,13 @@ def test_shading_is_lamberts() -> None:
         np.zeros((1, 3)),
         np.eye(3)[None],
         np.full((1, 3), 0.2),
-        np.zeros(1, bool),
+        np.full(1, BOX, np.int8),
+        np.zeros((1, 2), np.int32),
         np.full((1, 3), 200.0),
         np.zeros(1, np.int32),
     )
-    picture = empty_picture()
-    paint(shapes, 1, observation_camera(), picture)
+    picture = empty_picture(c.IMAGE_SIZE)
+    paint(shapes, NO_TRIANGLES, observation_camera(), picture)
     light = -np.array(c.LIGHT_DIRECTION) / np.linalg.norm(c.LIGHT_DIRECTION)
     facing = (light[2], -light[1], -light[0])  # top, front and left side: what this camera sees
     expected = sorted(round(200 * (c.LIGHT_AMBIENT + c.LIGHT_DIFFUSE * max(cosine, 0.0))) for cosine in facing)
