@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 
 from gym_open.envs.constants import CONTROL_DT_S, IMAGE_SIZE
+from gym_open.envs.contacts import Contact
 from gym_open.envs.puzzles import Puzzle
-from gym_open.envs.world import Contact
 from gym_open.errors import ArtefactError
 from gym_open.formats.log_cdr import CdrReader, CdrWriter
 

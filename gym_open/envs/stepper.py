@@ -1,0 +1,229 @@
+"""A whole agent step, or some substeps, as one compiled call that never asks for the interpreter lock.
+
+Each world has a *board*: one record of plain numbers that compiled code reads and writes. The boards of many worlds can
+lie in one array, so that one call plays any of them. What compiled code calls is all in this file, because numba's
+cache notices changes of this file alone.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import msgspec
+import mujoco
+import numpy as np
+from numba.np.numpy_support import carray
+
+from gym_open.envs import constants as c
+from gym_open.envs.contacts import Contact, contacts_of, thing_names, things_of
+from gym_open.envs.jit import compiled
+from gym_open.envs.model import kind_of
+from gym_open.envs.native import Layout, address, call, layout, pointer
+from gym_open.envs.puzzles import GOALS
+
+_PAIRS = 256
+"""Pairs of things that can touch in one step: far more than the objects on a table do."""
+
+
+class StepOutcome(msgspec.Struct, frozen=True):
+    """What happened during a step."""
+
+    hits: tuple[str, ...]
+    """Goals that the agent touched for the first time, looked for at every substep."""
+    in_danger: bool
+    """Whether the agent was inside the danger patch at any substep."""
+    contacts: tuple[Contact, ...]
+    """What touched what, contacts with the table top left out."""
+
+
+def new_boards(count: int, objects: int) -> np.ndarray:
+    """Boards (count,) of worlds whose model has that many movable objects."""
+    kind = [
+        ("model", np.int64),  # address of mjModel
+        ("data", np.int64),  # address of mjData
+        ("qpos", np.int64),  # address of mjData's qpos
+        ("qvel", np.int64),
+        ("danger", np.float64, 2),  # centre of the danger patch; NaN where there is none
+        ("in_danger", np.int32),
+        ("touches", np.int32),  # pairs of things that touched in the step
+        ("new_hits", np.int32),
+        ("hit_order", np.int32, objects),  # goals hit for the first time in the step, in their order
+        ("hit", np.uint8, objects),  # 1: this goal was hit since the puzzle was loaded
+        ("pairs", np.int32, (_PAIRS, 2)),  # things that touched, in the order in which they began
+        ("sums", np.float64, (_PAIRS, 8)),  # of each pair: impulse, mean position, normal, weight
+    ]
+    return np.zeros(count, np.dtype(kind, align=True))
+
+
+class Plan(NamedTuple):
+    """What all worlds of one model have in common, as compiled code takes it."""
+
+    layout: Layout
+    timestep: float
+    danger_half: float
+    """The agent is in danger while its centre is within ± this of the patch's."""
+    things: np.ndarray
+    """(ngeom,) int32: `things_of` the model."""
+    goals: np.ndarray
+    """(ngeom,) int32 of each thing: the object's number if it is a goal, else −1."""
+    agent: int
+    """The agent's thing."""
+
+
+@compiled
+def play(  # noqa: PLR0917  # compiled code takes arguments by position
+    boards: np.ndarray, index: int, push_x: float, push_y: float, substeps: int, stop: bool, plan: Plan
+) -> None:
+    """Push the agent, let substeps pass, and stop it: standing still but falling on, so that it cannot fly.
+
+    Args:
+        boards: of all worlds.
+        index: which of them is played.
+        push_x: change of the agent's velocity in m/s, as is `push_y`.
+        push_y: along y.
+        substeps: how many.
+        stop: whether the agent is stopped in the end.
+        plan: of the worlds' model.
+    """
+    board = boards[index]
+    board.touches, board.new_hits = 0, 0
+    board.in_danger = False
+    agent = carray(pointer(board.qvel), 6, np.float64)
+    agent[0] += push_x
+    agent[1] += push_y
+    touches, danger = 0, substeps == 0 and _in_danger(board, plan.danger_half)
+    for _ in range(substeps):
+        call(plan.layout.mj_step, board.model, board.data)
+        before = touches
+        touches = _add_contacts(board, touches, plan)
+        for slot in range(before, touches):
+            _note_hit(board, slot, plan)
+        danger = danger or _in_danger(board, plan.danger_half)
+    _average(board.sums, touches)
+    board.touches, board.in_danger = touches, danger
+    if stop:
+        down = min(agent[2], 0.0)
+        agent[:] = 0.0
+        agent[2] = down
+
+
+@compiled
+def _in_danger(board: Any, half: float) -> bool:
+    agent = carray(pointer(board.qpos), 2, np.float64)
+    return abs(agent[0] - board.danger[0]) <= half and abs(agent[1] - board.danger[1]) <= half
+
+
+@compiled
+def _note_hit(board: Any, slot: int, plan: Plan) -> None:
+    """A pair began to touch: if it is the agent and a goal for the first time, note it."""
+    a, b = board.pairs[slot, 0], board.pairs[slot, 1]
+    if plan.agent not in (a, b):
+        return
+    goal = plan.goals[b if a == plan.agent else a]
+    if goal >= 0 and not board.hit[goal]:
+        board.hit[goal] = 1
+        board.hit_order[board.new_hits] = goal
+        board.new_hits += 1
+
+
+@compiled
+def _add_contacts(board: Any, count: int, plan: Plan) -> int:
+    """Add the contacts of the substep that was just taken to the pairs and sums; return how many pairs there are."""
+    at, pairs, sums = plan.layout, board.pairs, board.sums
+    touching = carray(pointer(board.data + at.ncon), 1, np.int32)[0]
+    contacts = carray(pointer(board.data + at.contact), 1, np.int64)[0]
+    forces = carray(pointer(board.data + at.efc_force), 1, np.int64)[0]
+    for i in range(touching):
+        contact = contacts + i * at.contact_size
+        geoms = carray(pointer(contact + at.geom), 2, np.int32)
+        a, b = plan.things[geoms[0]], plan.things[geoms[1]]
+        if a < 0 or b < 0:  # the ground
+            continue
+        slot = 0
+        while slot < count and (pairs[slot, 0] != a or pairs[slot, 1] != b):
+            slot += 1
+        if slot == len(pairs):
+            continue
+        if slot == count:
+            pairs[slot, 0], pairs[slot, 1] = a, b
+            sums[slot] = 0.0
+            count += 1
+        row = carray(pointer(contact + at.efc_address), 1, np.int32)[0]
+        force = carray(pointer(forces + 8 * row), 1, np.float64)[0] if row >= 0 else 0.0
+        impulse = force * plan.timestep
+        weight = impulse + 1e-12
+        position = carray(pointer(contact + at.pos), 3, np.float64)
+        normal = carray(pointer(contact + at.frame), 3, np.float64)
+        sums[slot, 0] += impulse
+        for k in range(3):
+            sums[slot, 1 + k] += weight * position[k]
+            sums[slot, 4 + k] += weight * normal[k]
+        sums[slot, 7] += weight
+    return count
+
+
+@compiled
+def _average(sums: np.ndarray, count: int) -> None:
+    """Make mean positions and unit normals of the weighted sums."""
+    for slot in range(count):
+        i, j, k = sums[slot, 4], sums[slot, 5], sums[slot, 6]
+        length = np.sqrt(i * i + j * j + k * k)
+        if length == 0.0:
+            length = 1.0
+        for axis in range(3):
+            sums[slot, 1 + axis] /= sums[slot, 7]
+            sums[slot, 4 + axis] /= length
+
+
+class Stepper:
+    """Steps one world through its board."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, objects: Sequence[str]) -> None:
+        """Bind a board to a world's memory.
+
+        Args:
+            model: the world's model.
+            data: its data.
+            objects: names of the movable bodies, in the order of their joints; their kinds say which are goals.
+        """
+        self._objects, self._names = tuple(objects), thing_names(model)
+        self._bound = model, data  # alive for as long as their addresses are used
+        self._boards, self._index = new_boards(1, len(objects)), 0
+        self._plan = _plan(model, objects)
+        board = self._board = self._boards[self._index]
+        board["model"], board["data"] = model._address, data._address  # noqa: SLF001
+        board["qpos"], board["qvel"] = address(data.qpos), address(data.qvel)
+        self.hit: np.ndarray = board["hit"].view(np.bool_)
+        """(n_objects,) bool: goals hit since `load`."""
+        self.load(None)
+
+    def load(self, danger: tuple[float, float] | None) -> None:
+        """A puzzle begins: no goal was hit; `danger` is the centre of its danger patch, if it has one."""
+        self.hit[:] = False
+        self._board["danger"] = (np.nan, np.nan) if danger is None else danger
+
+    def step(self, push: tuple[float, float], substeps: int) -> StepOutcome:
+        """Change the agent's velocity by `push` (m/s), let substeps pass, and stop it."""
+        play(self._boards, self._index, push[0], push[1], substeps, True, self._plan)
+        return self.outcome()
+
+    def advance(self, substeps: int) -> StepOutcome:
+        """Let substeps pass, which may be none; nobody pushes or stops the agent."""
+        play(self._boards, self._index, 0.0, 0.0, substeps, False, self._plan)
+        return self.outcome()
+
+    def outcome(self) -> StepOutcome:
+        """What happened in the last step, as Python objects."""
+        board = self._board
+        touches, new_hits = int(board["touches"]), int(board["new_hits"])
+        hits = tuple(self._objects[i] for i in board["hit_order"][:new_hits].tolist())
+        contacts = contacts_of(self._names, board["pairs"][:touches], board["sums"][:touches])
+        return StepOutcome(hits, bool(board["in_danger"]), contacts)
+
+
+def _plan(model: mujoco.MjModel, objects: Sequence[str]) -> Plan:
+    goals = np.full(model.ngeom, -1, np.int32)
+    for number, name in enumerate(objects):
+        if kind_of(name) in GOALS:
+            goals[model.body(name).geomadr[0]] = number
+    agent = int(model.body("agent").geomadr[0])
+    return Plan(layout(), float(model.opt.timestep), c.DANGER_HALF, things_of(model), goals, agent)
