@@ -81,7 +81,7 @@ def layout() -> Layout:
         geom=contact.geom.offset,
         efc_address=contact.efc_address.offset,
     )
-    _check(found)
+    check(found)
     return found
 
 
@@ -109,7 +109,8 @@ def _address_of(function: str) -> int:
     return ctypes.cast(getattr(library, function), ctypes.c_void_p).value or 0
 
 
-def _check(found: Layout) -> None:
+def check(found: Layout) -> None:
+    """Raise LayoutError unless the offsets agree with the Python views of a box on a plane, and `mj_step` steps."""
     model = mujoco.MjModel.from_xml_string(_PROBE)
     data = mujoco.MjData(model)
     step = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(found.mj_step)
