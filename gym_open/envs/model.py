@@ -1,269 +1,297 @@
-"""The one fixed MuJoCo model: table, walls, an inventory of objects, and pieces that a puzzle moves into place.
+"""The MuJoCo model of a world: table, walls, an inventory of objects, and pieces that a puzzle moves into place.
 
 Objects that a puzzle does not use are parked asleep on the same ground, behind the camera; pen, ramp and danger patch
 are mocap bodies, parked there as well. Contact settings and their reasons are in docs/environment.md.
 """
 
 import functools
-from collections.abc import Iterable
+from itertools import combinations
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from gym_open.envs import constants as c
-
-INVENTORY: tuple[str, ...] = tuple(
-    name
-    for kind, count in c.CAPACITY.items()
-    for name in (["agent"] if kind == "agent" else [f"{kind}_{i}" for i in range(count)])
-)
-"""Names of all movable bodies, in the order of their bodies, joints and states in the model."""
+from gym_open.envs import scenery
+from gym_open.envs.mjcf import indented, rgba, text
+from gym_open.envs.options import MeshObject, WorldOptions
 
 SPHERES = ("agent", "yellow", "green", "push")
 
-PARKING_Y = -30.0
-"""Parked things stand beyond this y, far behind the camera and out of the table's reach."""
-
 # Reference acceleration −k·depth − b·speed of a contact as "−k −b", in 1/s² and 1/s; MuJoCo scales it by the masses.
-_BOUNCE_OBJECTS = "-40000 -72"
-_BOUNCE_SCENERY = "-40000 -175"
-_NO_BOUNCE = "0.01 1"
+_STIFFNESS = 40000.0
 # Friction brakes a sliding body no harder than b·speed. Harder, MuJoCo's convex friction makes fast cubes hop.
 _BRAKE = "-1 -10"
 _FIRM = "0.99 0.99 0.001"
-_FRICTION = 0.35
 _ROLLING = 0.003
+_LID = c.LID_HEIGHT / (2 * c.RADIUS)
+"""Height of the lid over the size of the largest thing under it: a cube can just turn over."""
 
-_CORNERS = (("north_east", 1, 1), ("north_west", -1, 1), ("south_east", 1, -1), ("south_west", -1, -1))
+
+def inventory(options: WorldOptions) -> tuple[str, ...]:
+    """Names of all movable bodies, in the order of their bodies, joints and states in the model."""
+    built_in = (["agent"] if kind == "agent" else _numbered(kind, count) for kind, count in c.CAPACITY.items())
+    meshes = (_numbered(mesh.kind, mesh.count) for mesh in options.meshes)
+    return tuple(name for names in (*built_in, *meshes) for name in names)
 
 
 def kind_of(name: str) -> str:
     """Kind of an inventory object: "heavy" of "heavy_3"."""
-    return name.split("_", maxsplit=1)[0]
+    return name.rsplit("_", maxsplit=1)[0]
 
 
-def model_xml() -> str:
-    """The model as MJCF text: with it alone, a logged trajectory can be replayed without this package."""
+def _numbered(kind: str, count: int) -> list[str]:
+    return [f"{kind}_{i}" for i in range(count)]
+
+
+INVENTORY: tuple[str, ...] = inventory(WorldOptions())
+"""Names of the movable bodies of the world v1."""
+
+
+def build_model(options: WorldOptions) -> mujoco.MjModel:
+    """The compiled model, shared by all worlds with these options, which never change it.
+
+    Raises:
+        MeshError: if a user's mesh cannot be used.
+    """
+    return _compiled(model_xml(options))
+
+
+@functools.cache
+def fixed_model() -> mujoco.MjModel:
+    """The compiled model of the world v1."""
+    return build_model(WorldOptions())
+
+
+@functools.lru_cache(maxsize=64)
+def _compiled(text_of_model: str) -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(text_of_model)
+
+
+def model_xml(options: WorldOptions | None = None) -> str:
+    """The model as MJCF text: with it alone, a logged trajectory can be replayed without this package.
+
+    Raises:
+        MeshError: if a user's mesh cannot be used.
+    """
+    options = options or WorldOptions()
+    kinds = _kinds(options)
+    lid = max(c.LID_HEIGHT, *(_LID * kind.size for name, kind in kinds.items() if name != "agent"))
+    meshes = [line for name, kind in kinds.items() for line in kind.assets]
+    camera = options.camera
     return f"""\
 <mujoco model="open">
   <compiler angle="radian"/>
-  <option timestep="{c.TIMESTEP_S}" integrator="implicitfast" cone="elliptic" jacobian="dense" sleep_tolerance="0.005">
+  <option timestep="{options.timestep_s}" integrator="implicitfast" cone="elliptic" jacobian="dense" \
+sleep_tolerance="0.005">
     <flag sleep="enable"/>
   </option>
   <statistic extent="2" center="0 0 0"/>
   <visual>
-    <global fovy="{c.FIELD_OF_VIEW}" offwidth="1024" offheight="1024"/>
+    <global fovy="{camera.field_of_view}" offwidth="1024" offheight="1024"/>
     <quality offsamples="0"/>
     <map znear="0.02" zfar="50"/>
     <headlight active="0"/>
   </visual>
   <default>
-    <geom condim="1" solref="{_BOUNCE_OBJECTS}" solimp="{_FIRM}"/>
+    <geom condim="1" solref="{_bounce(c.BOUNCINESS)}" solimp="{_FIRM}"/>
     <default class="seen"><geom contype="0" conaffinity="0" group="0"/></default>
-    <default class="scenery"><geom contype="2" conaffinity="1" priority="1" solref="{_BOUNCE_SCENERY}"/></default>
-    <default class="unseen">
-      <geom contype="2" conaffinity="1" priority="1" group="4" solref="{_BOUNCE_SCENERY}"/>
+    <default class="scenery">
+      <geom contype="2" conaffinity="1" priority="1" solref="{_bounce(c.BOUNCINESS / 2)}"/>
     </default>
-    <default class="lid"><geom contype="4" conaffinity="0" priority="1" group="4" solref="{_NO_BOUNCE}"/></default>
+    <default class="unseen">
+      <geom contype="2" conaffinity="1" priority="1" group="4" solref="{_bounce(c.BOUNCINESS / 2)}"/>
+    </default>
+    <default class="lid">
+      <geom contype="4" conaffinity="0" priority="1" group="4" solref="{scenery.NO_BOUNCE}"/>
+    </default>
   </default>
   <asset>
-    <mesh name="cone" vertex="{_text(_cone_vertices().ravel())}"/>
+{_block(meshes)}
   </asset>
   <worldbody>
-    <light type="directional" dir="{_text(c.LIGHT_DIRECTION)}" pos="0 0 5" castshadow="false" \
-diffuse="{_text([c.LIGHT_DIFFUSE] * 3)}" ambient="{_text([c.LIGHT_AMBIENT] * 3)}" specular="0 0 0"/>
-    <camera name="observation" pos="{_text(c.CAMERA_POSITION)}" xyaxes="{_text(c.camera_axes()[:2].ravel())}" \
-fovy="{c.FIELD_OF_VIEW}"/>
-{_indent(_table())}
-{_indent(_keep_in())}
-{_indent(_pieces())}
-{_indent(_objects())}
+    <light type="directional" dir="{text(options.light.direction)}" pos="0 0 5" castshadow="false" \
+diffuse="{text([c.LIGHT_DIFFUSE] * 3)}" ambient="{text([c.LIGHT_AMBIENT] * 3)}" specular="0 0 0"/>
+    <camera name="observation" pos="{text(camera.position)}" \
+xyaxes="{text(c.camera_axes(camera.direction)[:2].ravel())}" fovy="{camera.field_of_view}"/>
+{_block(scenery.table())}
+{_block(scenery.keep_in())}
+{_block(scenery.pieces(lid))}
+{_block(_objects(options, kinds))}
   </worldbody>
   <contact>
-{_indent(_pairs())}
+{_block(_pairs(options, kinds))}
   </contact>
 </mujoco>
 """
 
 
 @functools.cache
-def fixed_model() -> mujoco.MjModel:
-    """The compiled model, shared by all worlds, which never change it."""
-    return mujoco.MjModel.from_xml_string(model_xml())
+def restitution_damping(bounciness: float) -> float:
+    """Damping b in 1/s of a contact after which this fraction of the closing speed is left.
 
-
-def _table() -> list[str]:
-    high, thin = c.WALL_HEIGHT / 2, c.WALL_THICKNESS / 2
-    x, y = c.WALL_X + thin, c.WALL_Y + thin
-    edge_x, edge_y = c.WALL_X + c.WALL_THICKNESS, c.WALL_Y + c.WALL_THICKNESS
-    lines = [
-        # An infinite plane holds things up; what is seen of it is a plate.
-        f'<geom name="ground" type="plane" size="0 0 1" class="scenery" group="4" solref="{_NO_BOUNCE}"/>',
-        _box("floor", (0, 0, -c.TABLE_HEIGHT - 0.05), (15, 15, 0.05), "floor", kind="seen"),
-        _box("table", (0, 0, -0.02), (edge_x, edge_y, 0.02), "table", kind="seen"),
-    ]
-    for name, place, size in (
-        ("east", (x, 0, high), (thin, edge_y, high)),
-        ("west", (-x, 0, high), (thin, edge_y, high)),
-        ("north", (0, y, high), (c.WALL_X, thin, high)),
-        ("south", (0, -y, high), (c.WALL_X, thin, high)),
-    ):
-        lines.append(_box(f"seen_wall_{name}", place, size, "wall", kind="seen"))
-    for name, sx, sy in _CORNERS:
-        place = sx * (c.CORNER[0] + thin / np.sqrt(2)), sy * (c.CORNER[1] + thin / np.sqrt(2)), high
-        size = _corner_half_length(), thin, high
-        lines.append(_box(f"seen_corner_{name}", place, size, "wall", kind="seen", euler=(0, 0, -sx * sy * np.pi / 4)))
-    return lines
-
-
-def _keep_in() -> list[str]:
-    """What the walls are to touch: thick, and so high that nothing gets over them, flush with the visible ones.
-
-    A lid keeps cubes and goals, not the agent, from coming to rest on one another.
+    A contact is a damped spring, mass 1, that pushes but never pulls: with ζ = b / 2√k it ends after a phase of
+    π − atan2(2ζ√(1−ζ²), 1−2ζ²), when exp(−phase · ζ/√(1−ζ²)) of the speed is left. Solved for ζ by bisection.
     """
-    high, thick = 1.0, 0.5
-    x, y = c.WALL_X + thick, c.WALL_Y + thick
-    lines = [
-        _box("wall_east", (x, 0, high), (thick, y + thick, high), "wall", kind="unseen"),
-        _box("wall_west", (-x, 0, high), (thick, y + thick, high), "wall", kind="unseen"),
-        _box("wall_north", (0, y, high), (c.WALL_X, thick, high), "wall", kind="unseen"),
-        _box("wall_south", (0, -y, high), (c.WALL_X, thick, high), "wall", kind="unseen"),
-        _box("lid", (0, 0, c.LID_HEIGHT + thick), (c.WALL_X, c.WALL_Y, thick), "wall", kind="lid"),
-    ]
-    for name, sx, sy in _CORNERS:
-        place = sx * (c.CORNER[0] + thick / np.sqrt(2)), sy * (c.CORNER[1] + thick / np.sqrt(2)), high
-        size = _corner_half_length() + thick, thick, high
-        lines.append(_box(f"corner_{name}", place, size, "wall", kind="unseen", euler=(0, 0, -sx * sy * np.pi / 4)))
-    return lines
+    low, high = 0.0, 1.0 - 1e-9
+    for _ in range(60):
+        damping = (low + high) / 2
+        root = np.sqrt(1 - damping**2)
+        phase = np.pi - np.arctan2(2 * damping * root, 1 - 2 * damping**2)
+        low, high = (damping, high) if np.exp(-phase * damping / root) > bounciness else (low, damping)
+    return float(2 * low * np.sqrt(_STIFFNESS))
 
 
-def _corner_half_length() -> float:
-    """Half length of a corner piece whose inner face passes through `CORNER` and ends at both walls."""
-    return float(np.sqrt(2) * max(c.WALL_X - c.CORNER[0], c.WALL_Y - c.CORNER[1]))
+def _bounce(bounciness: float) -> str:
+    return f"{-_STIFFNESS:g} {-restitution_damping(bounciness):.4g}"
 
 
-def _pieces() -> list[str]:
-    """Pen, ramp and patch, each as one mocap body around its own centre; the ramp rises towards +x."""
-    half, thin, high = c.PEN_HALF, c.PEN_WALL_THICKNESS / 2, c.WALL_HEIGHT / 2
-    pen = [
-        _box("pen_east", (half, 0, high), (thin, half + thin, high), "pen"),
-        _box("pen_west", (-half, 0, high), (thin, half + thin, high), "pen"),
-        _box("pen_north", (0, half, high), (half - thin, thin, high), "pen"),
-        _box("pen_south", (0, -half, high), (half - thin, thin, high), "pen"),
-    ]
-    end = half - thin
-    top = end - c.RAMP_PLATFORM
-    run = top - c.RAMP_FOOT
-    slope = float(np.arctan2(c.RAMP_HEIGHT, run))
-    long, thick = float(np.hypot(run, c.RAMP_HEIGHT)) / 2, 0.01
-    middle = (c.RAMP_FOOT + top) / 2 + thick * np.sin(slope), 0, c.RAMP_HEIGHT / 2 - thick * np.cos(slope)
-    ramp = [
-        _box("ramp_slope", middle, (long, c.RAMP_WIDTH / 2, thick), "ramp", euler=(0, -slope, 0), solref=_NO_BOUNCE),
-        _box(
-            "ramp_platform",
-            ((top + end) / 2, 0, c.RAMP_HEIGHT / 2),
-            (c.RAMP_PLATFORM / 2, c.RAMP_WIDTH / 2, c.RAMP_HEIGHT / 2),
-            "ramp",
-            solref=_NO_BOUNCE,
+class _Kind(NamedTuple):
+    """What all objects of one kind have in common."""
+
+    mass: float
+    friction: float
+    bounciness: float
+    rolls: bool
+    size: float
+    """Greatest extent, or for a rectangle the height."""
+    height: float
+    """Of the body's origin above the table, at rest."""
+    seen: str
+    """Attributes of the geom that is seen, and touched too if there are no `parts`."""
+    parts: tuple[tuple[str, float], ...] = ()
+    """Attributes and mass of the geoms that are touched instead of the one that is seen."""
+    assets: tuple[str, ...] = ()
+
+
+def _kinds(options: WorldOptions) -> dict[str, _Kind]:
+    kinds = {kind: _built_in(kind, options) for kind in c.CAPACITY}
+    for mesh in options.meshes:
+        kinds[mesh.kind] = _mesh_kind(mesh)
+    return kinds
+
+
+def _built_in(kind: str, options: WorldOptions) -> _Kind:
+    size = options.size(kind)
+    half = size / 2
+    assets: tuple[str, ...] = ()
+    if kind in SPHERES:
+        shape = f'type="sphere" size="{half:.9g}"'
+    elif kind == "cone":
+        shape = 'type="mesh" mesh="cone"'
+        assets = (f'<mesh name="cone" vertex="{text(_cone(half).ravel())}"/>',)
+    else:
+        length = half * c.RECTANGLE_LENGTH / (2 * c.RADIUS) if kind == "rectangle" else half
+        shape = f'type="box" size="{text((length, half, half))}"'
+    return _Kind(
+        mass=options.mass(kind),
+        friction=options.friction(kind),
+        bounciness=options.bounciness(kind),
+        rolls=kind in SPHERES,
+        size=size,
+        height=half,
+        seen=f'{shape} rgba="{rgba(options.colour(kind))}"',
+        assets=assets,
+    )
+
+
+def _mesh_kind(mesh: MeshObject) -> _Kind:
+    from gym_open.envs.meshes import mesh_shape  # loads libraries that few worlds need
+
+    shape = mesh_shape(mesh)
+    pieces = [f"{mesh.kind}/{i}" for i in range(len(shape.pieces))]
+    seen = f'vertex="{text(shape.vertices.ravel())}" face="{text(shape.faces.ravel())}" inertia="shell"'
+    return _Kind(
+        mass=mesh.mass,
+        friction=mesh.friction,
+        bounciness=mesh.bounciness,
+        rolls=False,
+        size=float(shape.extents.max()),
+        height=float(shape.extents[2] / 2),
+        seen=f'type="mesh" mesh="{mesh.kind}" rgba="{rgba(mesh.colour or shape.colour)}"',
+        parts=tuple(
+            (f'type="mesh" mesh="{name}"', mesh.mass * share) for name, share in zip(pieces, shape.shares, strict=True)
         ),
-    ]
-    patch = [_box("patch", (0, 0, 0.001), (c.PATCH_HALF, c.PATCH_HALF, 0.001), "patch", kind="seen")]
-    return [
-        line
-        for index, (name, geoms) in enumerate((("pen", pen), ("ramp", ramp), ("patch", patch)))
-        for line in (
-            f'<body name="{name}" mocap="true" pos="{_text(piece_parking(index))}">',
-            *_indented(geoms),
-            "</body>",
-        )
-    ]
+        assets=(
+            f'<mesh name="{mesh.kind}" {seen}/>',
+            *(
+                f'<mesh name="{name}" vertex="{text(points.ravel())}"/>'
+                for name, points in zip(pieces, shape.pieces, strict=True)
+            ),
+        ),
+    )
 
 
-def piece_parking(index: int) -> tuple[float, float, float]:
-    """Where pen (0), ramp (1) and patch (2) stand while they are parked."""
-    return 2.0 * index, PARKING_Y - 5.0, 0.0
+def _cone(half: float) -> np.ndarray:
+    """(25, 3) metres: a cone's base and tip around the middle of its height, so that it rests as high as a cube."""
+    angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    base = np.stack([np.cos(angles), np.sin(angles), np.full(24, -1.0)], axis=1)
+    return half * np.vstack([base, (0, 0, 1)])
 
 
-def _objects() -> list[str]:
+def _touched(name: str, kind: _Kind) -> list[str]:
+    """Names of the geoms that an object touches others with."""
+    return [f"{name}/{i}" for i in range(len(kind.parts))] or [name]
+
+
+def _objects(options: WorldOptions, kinds: dict[str, _Kind]) -> list[str]:
     lines: list[str] = []
-    for index, name in enumerate(INVENTORY):
-        kind = kind_of(name)
-        parked = _text((0.4 * index, PARKING_Y, c.RADIUS))  # on the ground, apart from all others
-        rest, touches = ("never", 3) if kind == "agent" else ("allowed", 7)
-        look = f'{_shape(kind)} rgba="{_rgba(c.COLOUR[kind])}"'
+    for index, name in enumerate(inventory(options)):
+        kind = kinds[kind_of(name)]
+        parked = text((0.4 * index, scenery.PARKING_Y, kind.height))  # on the ground, apart from all others
+        rest, touches = ("never", 3) if name == "agent" else ("allowed", 7)
+        solid = f'contype="1" conaffinity="{touches}"'
+        if kind.parts:
+            geoms = [f'<geom name="{name}" class="seen" {kind.seen} mass="0"/>'] + [
+                f'<geom name="{part}" {shape} mass="{mass:.9g}" {solid} group="4"/>'
+                for part, (shape, mass) in zip(_touched(name, kind), kind.parts, strict=True)
+            ]
+        else:
+            geoms = [f'<geom name="{name}" {kind.seen} mass="{kind.mass}" {solid}/>']
         lines += [
             f'<body name="{name}" pos="{parked}" sleep="{rest}">',
-            f'  <freejoint name="{name}"/>',
-            f'  <geom name="{name}" {look} mass="{c.MASS[kind]}" contype="1" conaffinity="{touches}"/>',
+            *indented([f'<freejoint name="{name}"/>', *geoms]),
             "</body>",
         ]
     return lines
 
 
-def _shape(kind: str) -> str:
-    if kind in SPHERES:
-        return f'type="sphere" size="{c.RADIUS}"'
-    if kind == "cone":
-        return 'type="mesh" mesh="cone"'
-    length = c.RECTANGLE_LENGTH / 2 if kind == "rectangle" else c.RADIUS
-    return f'type="box" size="{_text((length, c.RADIUS, c.RADIUS))}"'
-
-
-def _cone_vertices() -> np.ndarray:
-    """(25, 3) metres: a cone's base and tip around the middle of its height, so that it rests as high as a cube."""
-    angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
-    base = np.stack([np.cos(angles), np.sin(angles), np.full(24, -1.0)], axis=1)
-    return c.RADIUS * np.vstack([base, (0, 0, 1)])
-
-
-def _pairs() -> list[str]:
+def _pairs(options: WorldOptions, kinds: dict[str, _Kind]) -> list[str]:
     """Contacts with settings of their own: friction acts with the ground alone, so that nothing climbs on another.
 
     The agent glides, spheres roll and come to rest, all else slides.
     """
-    friction = f'friction="{_FRICTION} {_FRICTION} 0.005 {_ROLLING} {_ROLLING}" solreffriction="{_BRAKE}"'
-    still = f'solref="{_NO_BOUNCE}" solimp="{_FIRM}"'
-    ramp = [f'<pair geom1="{name}" geom2="agent" condim="1" {still}/>' for name in ("ramp_slope", "ramp_platform")]
-    return ramp + [
-        f'<pair geom1="ground" geom2="{name}" condim="{_condim(kind_of(name))}" {friction} {still}/>'
-        for name in INVENTORY
+    still = f'solref="{scenery.NO_BOUNCE}" solimp="{_FIRM}"'
+    lines = [f'<pair geom1="{name}" geom2="agent" condim="1" {still}/>' for name in ("ramp_slope", "ramp_platform")]
+    for name in inventory(options):
+        kind = kinds[kind_of(name)]
+        condim = 1 if kind.friction == 0 else 6 if kind.rolls and name != "agent" else 3
+        friction = text((kind.friction, kind.friction, 0.005, _ROLLING, _ROLLING))
+        lines += [
+            f'<pair geom1="ground" geom2="{part}" condim="{condim}" friction="{friction}" '
+            f'solreffriction="{_BRAKE}" {still}/>'
+            for part in _touched(name, kind)
+        ]
+    return lines + _bounces(options, kinds)
+
+
+def _bounces(options: WorldOptions, kinds: dict[str, _Kind]) -> list[str]:
+    """Pairs for what bounces otherwise than v1: MuJoCo itself takes the less bouncy of two, not their mean."""
+    names = inventory(options)
+    found: list[tuple[str, str, float]] = []
+    for a, b in combinations(names, 2):
+        mean = (kinds[kind_of(a)].bounciness + kinds[kind_of(b)].bounciness) / 2
+        found += [(x, y, mean) for x in _touched(a, kinds[kind_of(a)]) for y in _touched(b, kinds[kind_of(b)])]
+    for name in names:
+        kind = kinds[kind_of(name)]
+        found += [(wall, part, kind.bounciness / 2) for wall in scenery.BOUNCING for part in _touched(name, kind)]
+    usual = {False: c.BOUNCINESS, True: c.BOUNCINESS / 2}
+    return [
+        f'<pair geom1="{x}" geom2="{y}" condim="1" solref="{_bounce(value)}" solimp="{_FIRM}"/>'
+        for x, y, value in found
+        if abs(value - usual[x in scenery.BOUNCING]) > 1e-9
     ]
 
 
-def _condim(kind: str) -> int:
-    if kind == "agent":
-        return 1
-    return 6 if kind in SPHERES else 3
-
-
-def _box(
-    name: str,
-    place: Iterable[float],
-    half: Iterable[float],
-    colour: str,
-    *,
-    kind: str = "scenery",
-    euler: Iterable[float] = (0, 0, 0),
-    solref: str = "",
-) -> str:
-    extra = f' solref="{solref}"' if solref else ""
-    return (
-        f'<geom name="{name}" class="{kind}" type="box" pos="{_text(place)}" size="{_text(half)}" '
-        f'euler="{_text(euler)}" rgba="{_rgba(c.SCENERY_COLOUR[colour])}"{extra}/>'
-    )
-
-
-def _rgba(colour: tuple[int, int, int]) -> str:
-    return _text([*(value / 255 for value in colour), 1])
-
-
-def _text(values: Iterable[float]) -> str:
-    return " ".join(f"{float(value):.9g}" for value in values)
-
-
-def _indented(lines: list[str]) -> list[str]:
-    return [f"  {line}" for line in lines]
-
-
-def _indent(lines: list[str]) -> str:
-    return "\n".join(f"    {line}" for line in lines)
+def _block(lines: list[str]) -> str:
+    return "\n".join(indented(lines, 2))

@@ -1,0 +1,161 @@
+"""Meshes of the user's own: read, cut into convex pieces, and laid down as they come to rest.
+
+MuJoCo collides meshes as their convex hulls, which would fill the hole of a ring and the notch of an L. So the shape is
+cut into convex pieces (CoACD, with a fixed seed) that are touched, while the mesh itself is seen.
+"""
+
+import functools
+import io
+import warnings
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import coacd
+import mujoco
+import numpy as np
+import trimesh
+
+from gym_open.envs import constants as c
+from gym_open.envs.mjcf import text
+from gym_open.envs.options import SMALLEST_SIZE, Colour, MeshObject
+from gym_open.errors import GymOpenError
+
+FORMATS = ("obj", "stl", "ply", "glb")
+MOST_FACES = 20_000
+_GREY: Colour = (160, 160, 160)
+
+
+class MeshError(GymOpenError):
+    """A user's mesh is missing, unreadable, or does not fit the table."""
+
+
+class MeshShape(NamedTuple):
+    """A mesh ready for the model, in metres, around the middle of its box as it lies at rest; z up."""
+
+    vertices: np.ndarray
+    """(V, 3)."""
+    faces: np.ndarray
+    """(F, 3) int: corners, counter-clockwise seen from outside."""
+    pieces: tuple[np.ndarray, ...]
+    """(P, 3) corners of each convex piece."""
+    shares: tuple[float, ...]
+    """Each piece's share of the mass."""
+    extents: np.ndarray
+    """(3,) edges of the box around the pieces."""
+    colour: Colour
+    """The file's main colour."""
+
+
+def mesh_shape(mesh: MeshObject) -> MeshShape:
+    """The shape of a mesh object; cut and laid down once for each content and scale in a process.
+
+    Raises:
+        MeshError: if the file is missing, is no mesh, has too many faces, or is larger than a cell.
+    """
+    path = Path(mesh.file)
+    kind = path.suffix.lstrip(".").lower()
+    if kind not in FORMATS:
+        raise MeshError(f"mesh {mesh.name!r}: {path}: expected a file named .{', .'.join(FORMATS)}")
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise MeshError(f"mesh {mesh.name!r}: {path}: cannot be read ({error.strerror}); correct `file`") from None
+    try:
+        return _shape(kind, content, mesh.scale)
+    except MeshError as error:
+        raise MeshError(f"mesh {mesh.name!r}: {path}: {error}") from None
+
+
+@functools.lru_cache(maxsize=32)
+def _shape(kind: str, content: bytes, scale: float) -> MeshShape:
+    mesh = _read(kind, content)
+    if len(mesh.faces) > MOST_FACES:
+        raise MeshError(f"{len(mesh.faces)} faces, at most {MOST_FACES} can be drawn; simplify it")
+    vertices, faces = mesh.vertices * scale, mesh.faces
+    _check_size(np.ptp(vertices, axis=0), scale)
+    convex = _convex_pieces(mesh, vertices)
+    turn = _turn_at_rest([piece.vertices for piece in convex])
+    pieces = [piece.vertices @ turn.T for piece in convex]
+    low, high = np.min(np.vstack(pieces), axis=0), np.max(np.vstack(pieces), axis=0)
+    _check_size(high - low, scale)
+    middle, volumes = (low + high) / 2, np.array([piece.volume for piece in convex])
+    return MeshShape(
+        vertices=vertices @ turn.T - middle,
+        faces=faces,
+        pieces=tuple(points - middle for points in pieces),
+        shares=tuple((volumes / volumes.sum()).tolist()),
+        extents=high - low,
+        colour=_main_colour(mesh),
+    )
+
+
+def _read(kind: str, content: bytes) -> trimesh.Trimesh:
+    try:
+        mesh = trimesh.load_mesh(io.BytesIO(content), file_type=kind)
+    except Exception as error:  # each format's reader raises its own
+        raise MeshError(f"not a {kind.upper()} mesh ({error})") from None
+    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) < 4 or not np.isfinite(mesh.vertices).all():
+        raise MeshError(f"not a {kind.upper()} mesh of at least four faces; export triangles")
+    if kind == "glb":  # glTF's y points up
+        mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0)))
+    if _closed(mesh):
+        if mesh.volume < 0:
+            mesh.invert()
+    else:
+        warnings.warn(
+            "a mesh is not watertight or its faces look both ways: it is seen as it is, but touched as CoACD closes it",
+            stacklevel=2,
+        )
+    return mesh
+
+
+def _closed(mesh: trimesh.Trimesh) -> bool:
+    return bool(mesh.is_watertight and mesh.is_winding_consistent)
+
+
+def _check_size(extents: np.ndarray, scale: float) -> None:
+    largest = float(extents.max())
+    size = " × ".join(f"{value:.3g}" for value in extents)
+    if largest > c.PITCH:
+        fits = 0.99 * scale * c.PITCH / largest
+        raise MeshError(f"{size} m is larger than a cell of {c.PITCH} m; use `scale` {fits:.3g} or less")
+    if largest < SMALLEST_SIZE:
+        fits = 1.01 * scale * SMALLEST_SIZE / largest
+        raise MeshError(f"{size} m is smaller than {SMALLEST_SIZE} m; use `scale` {fits:.3g} or more")
+
+
+def _convex_pieces(mesh: trimesh.Trimesh, vertices: np.ndarray) -> list[trimesh.Trimesh]:
+    """Convex pieces that together fill the mesh."""
+    coacd.set_log_level("error")
+    cut = coacd.run_coacd(coacd.Mesh(vertices, mesh.faces), threshold=0.05, max_ch_vertex=64, seed=0)
+    return [trimesh.Trimesh(points, faces) for points, faces in cut]
+
+
+def _turn_at_rest(pieces: list[np.ndarray]) -> np.ndarray:
+    """Rotation (3, 3) in which the pieces lie on the table after they were put down as the file has them."""
+    lowest = min(float(points[:, 2].min()) for points in pieces)
+    names = [f"piece_{i}" for i in range(len(pieces))]
+    assets = "".join(f'<mesh name="{n}" vertex="{text(p.ravel())}"/>' for n, p in zip(names, pieces, strict=True))
+    geoms = "".join(f'<geom type="mesh" mesh="{name}" density="1000"/>' for name in names)
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><option timestep="0.002" cone="elliptic" integrator="implicitfast"/>'
+        '<default><geom condim="6" friction="1 0.01 0.01"/></default>'
+        f'<asset>{assets}</asset><worldbody><geom type="plane" size="0 0 1"/>'
+        f'<body pos="0 0 {-lowest:.9g}"><freejoint/>{geoms}</body></worldbody></mujoco>'
+    )
+    data = mujoco.MjData(model)
+    for _ in range(5000):
+        mujoco.mj_step(model, data)
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, data.qpos[3:])
+    return turn.reshape(3, 3)
+
+
+def _main_colour(mesh: trimesh.Trimesh) -> Colour:
+    visual: Any = mesh.visual  # of one class or another, by what the file has
+    if visual.kind == "texture":
+        visual = visual.to_color()
+    if not visual.defined:
+        return _GREY
+    red, green, blue = (int(value) for value in visual.main_color[:3])
+    return red, green, blue
