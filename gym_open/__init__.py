@@ -17,3 +17,14 @@ for _task, _name in ENV_IDS.items():
     # The string is imported when an environment is made: physics and ray caster load only then.
     if _name not in gymnasium.registry:
         gymnasium.register(id=_name, entry_point="gym_open.envs.env:OpenEnv", kwargs={"task": _task})
+
+PAPER_ENV_ID = "open_puzzle_proc-v0"
+"""The id that the paper's supplement names, as `gym_open:open_puzzle_proc-v0`: its own interface, not Gymnasium's."""
+
+if PAPER_ENV_ID not in gymnasium.registry:
+    gymnasium.register(
+        id=PAPER_ENV_ID,
+        entry_point="gym_open.remote.supplement:OpenPuzzleEnv",
+        order_enforce=False,  # its listings step before any reset, and a wrapper would hide its methods
+        disable_env_checker=True,
+    )
