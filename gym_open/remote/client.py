@@ -1,7 +1,6 @@
 """A session on a server: the methods of `Session`, each one call over the wire."""
 
 import contextlib
-import os
 from typing import Any, TypeVar
 
 import grpc
@@ -9,7 +8,7 @@ import grpc
 import gym_open
 from gym_open.errors import GymOpenError, UsageError
 from gym_open.remote import protocol as p
-from gym_open.remote.address import target
+from gym_open.remote.address import read_token, target
 
 R = TypeVar("R", p.Opened, p.Done, p.Observed, p.Stepped)
 
@@ -17,7 +16,7 @@ _CLOSE_DEADLINE_S = 2.0
 
 
 class RemoteSession:
-    """A world of its own on the server at `host` and `port`; the token is taken from the environment variable.
+    """A world of its own on the server at `host` and `port`; the token is the environment variable's.
 
     Raises:
         UsageError: if the server refuses: its places are taken, the token is wrong, it is of another version.
@@ -27,7 +26,7 @@ class RemoteSession:
     def __init__(self, host: str, port: int, *, debug: bool, deadline_s: float) -> None:
         self._where = target(host, port)
         self._deadline_s = deadline_s
-        token = os.environ.get(p.TOKEN_VARIABLE)
+        token = read_token(None)
         self._metadata = ((p.TOKEN_KEY, token),) if token else ()
         options = [
             ("grpc.enable_http_proxy", 0),

@@ -31,6 +31,7 @@ class Session:
 
     def __init__(self, *, debug: bool = False) -> None:
         self._world = World()
+        self._masses = [float(self._world.model.body(name).mass[0]) for name in self._world.inventory]
         self._debug = debug
         self._rng, _ = seeding.np_random(None)
         self._draw: Draw | None = None
@@ -148,7 +149,7 @@ class Session:
         world = self._world
         states = world.object_state().tolist()
         found = {
-            i: self._object(name, states[i], float(world.model.body(name).mass[0]))
+            i: self._object(name, states[i], self._masses[i])
             for i, name in enumerate(world.inventory)
             if world.present[i]
         }

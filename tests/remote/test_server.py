@@ -1,0 +1,396 @@
+"""A world on a server: the same bits as in this process, and an answer to each way in which it can go wrong."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, Self
+
+import grpc
+import gymnasium
+import msgspec
+import numpy as np
+import pytest
+
+import gym_open
+from gym_open.envs.puzzles import PuzzleError
+from gym_open.errors import ConfigError, GymOpenError, UsageError
+from gym_open.remote import protocol as p
+from gym_open.remote.address import is_loopback, read_token
+from gym_open.remote.server import Server
+
+TOKEN = "correct-horse-battery-staple"
+
+
+def client(port: int, **changes: Any) -> Any:
+    given = {"env_ip": "127.0.0.1", "self_ip": "localhost", "port": port, "deadline_s": 20.0}
+    return gymnasium.make("gym_open:open_puzzle_proc-v0", **{**given, **changes})
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Server]:
+    """Two places, in a thread of this process."""
+    with Server("127.0.0.1", 0, None, clients=2) as started:
+        yield started
+
+
+@pytest.fixture
+def env(server: Server) -> Iterator[Any]:
+    made = client(server.port)
+    yield made
+    made.close()
+    assert len(server.sessions) == 0
+
+
+def raw(port: int, body: bytes, method: str = f"/{p.SERVICE}/{p.METHOD}", **options: Any) -> bytes:
+    """Send bytes as they are, past the client."""
+    with grpc.insecure_channel(f"127.0.0.1:{port}", [("grpc.max_send_message_length", -1)]) as channel:
+        return channel.unary_unary(method)(body, timeout=20, **options)
+
+
+def refused_with(port: int, body: bytes, **options: Any) -> tuple[grpc.StatusCode, str]:
+    with pytest.raises(grpc.RpcError) as caught:
+        raw(port, body, **options)
+    error: Any = caught.value
+    return error.code(), error.details()
+
+
+class Process:
+    """`serve` in a process of its own."""
+
+    def __init__(self, **arguments: Any) -> None:
+        code = f"from gym_open.remote.server import serve; serve(port=0, **{arguments!r})"
+        environment = {key: value for key, value in os.environ.items() if key != p.TOKEN_VARIABLE}
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=environment
+        )
+        assert self.process.stdout
+        self.greeting = ""
+        for line in self.process.stdout:
+            self.greeting += line
+            if "Ctrl-C" in line:
+                break
+        self.port = int(re.findall(r":(\d+),", self.greeting)[0])
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.process.kill()
+        self.process.communicate()
+
+
+def near(**changes: Any) -> Any:
+    return gymnasium.make("gym_open:open_puzzle_proc-v0", **changes)
+
+
+@pytest.mark.parametrize("debug", [False, True])
+def test_far_is_near_bit_for_bit(server: Server, debug: bool) -> None:
+    pair = near(debug=debug), client(server.port, debug=debug)
+    rng = np.random.default_rng(0)
+    for one in pair:
+        one.add_change_puzzle(mode=0, puzzle_config={"main_sphere": 1, "cube": np.int64(4), "touch_sphere": 2})
+        one.set_observation(True)
+    for seed, change in enumerate([None, None, (1, 2), (1, 4)]):
+        for one in pair:
+            if change:
+                one.add_change_puzzle(*change)
+            one.configure_env(False, action_space="full", skip_frame=seed != 1)
+            one.turn_off_reward(seed == 2)
+        here, there = (one.reset(seed=seed) for one in pair)
+        assert_same(here, there)
+        for action in rng.integers(0, 9, 40):
+            here, there = (one.step(action) for one in pair)
+            assert_same(here[0], there[0])
+            assert here[1:] == there[1:]
+    pair[1].close()
+
+
+def assert_same(here: Any, there: Any) -> None:
+    assert here["image"].dtype == there["image"].dtype
+    assert np.array_equal(here["image"], there["image"])
+    assert here["object_information"] == there["object_information"]
+    assert there["image"].flags.writeable
+
+
+@pytest.mark.parametrize(
+    ("call", "kind"),
+    [
+        (lambda env: env.step(9), UsageError),
+        (lambda env: env.add_change_puzzle(0, 0, {"cubes": 1}), ConfigError),
+        (
+            lambda env: env.add_change_puzzle(0, 0, {"touch_sphere": 3, "high_value_target": 3, "radius": 1}),
+            PuzzleError,
+        ),
+    ],
+)
+def test_an_error_is_the_same_near_and_far(env: Any, call: Any, kind: type[GymOpenError]) -> None:
+    said = []
+    for one in (env, near()):
+        one.add_change_puzzle(1, 1)
+        with pytest.raises(GymOpenError) as caught:
+            call(one)
+        said.append((type(caught.value), str(caught.value)))
+        one.step(1)  # plays on
+    assert said[0] == said[1]
+    assert said[0][0] is kind
+
+
+def test_each_client_has_a_world_of_its_own_until_the_places_are_taken(server: Server) -> None:
+    one, two = client(server.port), client(server.port)
+    for seed, env in enumerate((one, two)):
+        env.add_change_puzzle(1, 1)
+        env.reset(seed=seed)
+    before = two.step(0)
+    one.step(3)
+    assert two.step(0) == before
+    with pytest.raises(UsageError, match=r"all 2 places are taken: close another .* `--clients`"):
+        client(server.port)
+    one.close()
+    three = client(server.port)
+    assert two.step(0) == before
+    for env in (two, three):
+        env.close()
+    assert len(server.sessions) == 0
+
+
+def test_clients_play_side_by_side(server: Server) -> None:
+    """Two threads at once get what each would have got alone."""
+
+    def played(seed: int, out: dict[int, Any]) -> None:
+        env = client(server.port)
+        env.add_change_puzzle(1, 3)
+        env.reset(seed=seed)
+        out[seed] = [env.step(action)[:3] for action in np.random.default_rng(seed).integers(0, 9, 60)]
+        env.close()
+
+    together: dict[int, Any] = {}
+    threads = [threading.Thread(target=played, args=(seed, together)) for seed in (0, 1)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    alone: dict[int, Any] = {}
+    for seed in (0, 1):
+        played(seed, alone)
+    assert together == alone
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        b"",
+        b"\xc1",
+        b"\x93" * 30_000,
+        msgspec.msgpack.encode({"session": "", "call": {"type": "Exec", "code": "1"}}),
+        msgspec.msgpack.encode({"session": "", "call": {"type": "Open"}}),
+        msgspec.msgpack.encode({"session": 3, "call": {"type": "Close"}}),
+        msgspec.msgpack.encode({"session": "\ud800".encode("utf-8", "surrogatepass"), "call": {"type": "Close"}}),
+    ],
+    ids=["empty", "no MessagePack", "too deep", "unknown call", "fields missing", "wrong type", "bytes for text"],
+)
+def test_a_malformed_message_is_refused_and_the_session_plays_on(env: Any, server: Server, body: bytes) -> None:
+    env.add_change_puzzle(1, 1)
+    before = env.step(0)
+    code, details = refused_with(server.port, body)
+    assert code is grpc.StatusCode.INVALID_ARGUMENT
+    assert "not a message of protocol 1" in details
+    assert env.step(0) == before
+
+
+def test_an_argument_too_deep_is_refused_and_the_session_plays_on(env: Any, server: Server) -> None:
+    env.add_change_puzzle(1, 1)
+    deep = b"\x91" * 20_000 + b"\xc0"
+    request = p.encode(p.Request(env._session._session, p.Step(msgspec.Raw(deep))))
+    assert refused_with(server.port, request)[0] is grpc.StatusCode.INVALID_ARGUMENT
+    env.step(0)
+
+
+def test_an_unknown_method_or_session_is_refused(server: Server) -> None:
+    body = p.encode(p.Request("0" * 32, p.Step(1)))
+    assert refused_with(server.port, body, method="/gym_open.World/Other")[0] is grpc.StatusCode.UNIMPLEMENTED
+    answer = p.decode_reply(raw(server.port, body))
+    assert isinstance(answer, p.Refused)
+    assert "does not know this session" in answer.message
+
+
+def test_oversized_requests_are_refused_by_client_and_server(env: Any, server: Server) -> None:
+    env.add_change_puzzle(1, 1)
+    before = env.step(0)
+    with pytest.raises(GymOpenError, match=rf"127.0.0.1:{server.port}: message too large .* 65536 .* puzzle_config"):
+        env.add_change_puzzle(0, 0, {"cube": "x" * p.REQUEST_BYTES})
+    code, details = refused_with(server.port, b"\0" * (p.REQUEST_BYTES + 1))
+    assert code is grpc.StatusCode.RESOURCE_EXHAUSTED
+    assert "larger than max" in details
+    assert env.step(0) == before
+
+
+def test_an_oversized_reply_is_refused(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(p, "REPLY_BYTES", 10_000)
+    env = client(server.port)
+    env.add_change_puzzle(1, 1)
+    env.set_observation(True)
+    with pytest.raises(GymOpenError, match=r"message too large .* 10000 back"):
+        env.step(1)
+    env.close()
+
+
+@pytest.mark.parametrize(("protocol", "package"), [(p.PROTOCOL + 1, gym_open.__version__), (p.PROTOCOL, "0.0.1")])
+def test_another_version_is_refused(server: Server, protocol: int, package: str) -> None:
+    answer = p.decode_reply(raw(server.port, p.encode(p.Request("", p.Open(protocol, package, debug=False)))))
+    assert isinstance(answer, p.Refused)
+    assert f"the client {package} with protocol {protocol}: install the same version on both" in answer.message
+
+
+def test_another_service_is_not_taken_for_a_server() -> None:
+    class Other(grpc.GenericRpcHandler):
+        def service(self, handler_call_details: object) -> Any:  # noqa: ARG002
+            return grpc.unary_unary_rpc_method_handler(lambda body, _: body)
+
+    other = grpc.server(ThreadPoolExecutor(1), handlers=[Other()])
+    port = other.add_insecure_port("127.0.0.1:0")
+    other.start()
+    with pytest.raises(GymOpenError, match=r"not a message of protocol 1.*is it `gym-open serve`"):
+        client(port)
+    other.stop(0).wait()
+
+
+def test_a_token_is_needed_where_there_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(p.TOKEN_VARIABLE, raising=False)
+    with Server("127.0.0.1", 0, TOKEN) as server:
+        with pytest.raises(UsageError, match=f"no token was sent; set {p.TOKEN_VARIABLE}"):
+            client(server.port)
+        for wrong in (TOKEN[:-1], TOKEN + "x", TOKEN.upper()):
+            monkeypatch.setenv(p.TOKEN_VARIABLE, wrong)
+            with pytest.raises(UsageError, match="a wrong token was sent"):
+                client(server.port)
+        assert len(server.sessions) == 0
+        monkeypatch.setenv(p.TOKEN_VARIABLE, TOKEN)
+        env = client(server.port)
+        env.add_change_puzzle(1, 1)
+        env.step(1)
+        monkeypatch.delenv(p.TOKEN_VARIABLE)
+        env.step(1)  # it keeps the one it was made with
+        session = env._session._session
+        code, _ = refused_with(server.port, p.encode(p.Request(session, p.Step(1))))
+        assert code is grpc.StatusCode.UNAUTHENTICATED  # a session's name is not enough
+        env.close()
+
+
+def test_only_loopback_goes_without_a_token(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(p.TOKEN_VARIABLE, raising=False)
+    for host in ("0.0.0.0", "::", "192.168.1.2", "example.org"):
+        with pytest.raises(UsageError, match=rf"host: {host} can be reached from other machines, so a token is needed"):
+            Server(host, 0, None)
+    with Server("0.0.0.0", 0, TOKEN) as server:
+        monkeypatch.setenv(p.TOKEN_VARIABLE, TOKEN)
+        client(server.port).close()
+    assert [is_loopback(host) for host in ("localhost", "127.0.0.1", "127.9.9.9", "::1")] == [True] * 4
+
+
+def test_a_token_comes_from_a_file_or_the_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(p.TOKEN_VARIABLE, raising=False)
+    assert read_token(None) is None
+    monkeypatch.setenv(p.TOKEN_VARIABLE, TOKEN)
+    assert read_token(None) == TOKEN
+    file = tmp_path / "token"
+    with pytest.raises(UsageError, match="token: the token cannot be read"):
+        read_token(file)
+    for text, fault in (("", "has 0 characters"), ("short\n", "has 5"), ("two words are too many", "without spaces")):
+        file.write_text(text)
+        with pytest.raises(UsageError, match=rf"token: the token .*{fault}.*secrets.token_urlsafe"):
+            read_token(file)
+    file.write_text(f"{TOKEN}-2\n")
+    assert read_token(file) == f"{TOKEN}-2"
+
+
+def test_a_port_that_is_taken_is_named(server: Server) -> None:
+    with pytest.raises(UsageError, match=f"cannot listen on 127.0.0.1:{server.port}: the port is taken"):
+        Server("127.0.0.1", server.port, None)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [({"clients": 0}, "clients: at least 1, got 0"), ({"idle_s": 0.0}, "idle_s: more than 0 seconds, got 0")],
+)
+def test_wrong_arguments_of_the_server_are_named(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        Server("127.0.0.1", 0, None, **arguments)
+
+
+def test_without_a_server_the_error_says_where_and_what_to_do() -> None:
+    with Server("127.0.0.1", 0, None) as server:
+        port = server.port
+    began = time.monotonic()
+    with pytest.raises(GymOpenError, match=rf"no answer from the server at 127.0.0.1:{port}: .*start `gym-open serve`"):
+        client(port)
+    assert time.monotonic() - began < 10
+
+
+def test_a_vanished_clients_place_is_freed() -> None:
+    def pass_time(seconds: float) -> None:
+        for place in server.sessions._places.values():
+            place.used -= seconds
+
+    with Server("127.0.0.1", 0, None, clients=1, idle_s=500) as server:
+        gone = client(server.port)
+        gone.add_change_puzzle(1, 1)
+        pass_time(400)
+        with pytest.raises(UsageError, match="all 1 places are taken"):
+            client(server.port)
+        gone.step(1)  # used again
+        pass_time(400)
+        gone.step(1)
+        pass_time(501)
+        env = client(server.port)  # takes the unused place
+        env.add_change_puzzle(1, 1)
+        with pytest.raises(UsageError, match=r"freed after 500 s without a call.* make the environment anew"):
+            gone.step(1)
+        env.step(1)
+        pass_time(501)
+        server.sessions.sweep()
+        assert len(server.sessions) == 0
+
+
+def test_a_killed_server_ends_in_an_error_that_says_where_and_what_to_do() -> None:
+    with Process() as server:
+        env = client(server.port)
+        env.add_change_puzzle(1, 1)
+        env.step(1)
+        server.process.send_signal(signal.SIGKILL)
+        server.process.wait()
+        began = time.monotonic()
+        for _ in range(2):
+            with pytest.raises(
+                GymOpenError,
+                match=rf"no answer from the server at 127.0.0.1:{server.port}: .*make the environment anew",
+            ):
+                env.step(1)
+        env.close()
+        assert time.monotonic() - began < 10
+
+
+def test_a_hanging_server_is_not_waited_for_and_a_stopped_one_ends_well() -> None:
+    with Process(clients=1) as server:
+        env = client(server.port, deadline_s=2.0)
+        env.add_change_puzzle(1, 1)
+        server.process.send_signal(signal.SIGSTOP)
+        with pytest.raises(GymOpenError, match=rf"127.0.0.1:{server.port} did not answer within 2 s"):
+            env.step(1)
+        server.process.send_signal(signal.SIGCONT)
+        env.step(1)
+        server.process.send_signal(signal.SIGTERM)
+        output, _ = server.process.communicate(timeout=20)
+        assert server.process.returncode == 0
+        assert "gym-open serve: listening on 127.0.0.1:" in server.greeting
+        assert f"env_ip='127.0.0.1', port={server.port})" in server.greeting
+        assert output == "gym-open serve: stopped\n"
+        with pytest.raises(GymOpenError, match="no answer"):
+            env.step(1)
+        env.close()
