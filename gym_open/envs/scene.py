@@ -165,6 +165,11 @@ class Scene:
         draw(qpos, hit, self._drawing, normals)
         return self._picture
 
+    def shown_colours(self, hit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Geoms (n,) of what moves, and their colours (n, 3), 0–255, with `hit` (n_objects,) saying which were hit."""
+        parts, shapes = self._drawing.parts, self._drawing.shapes
+        return shapes.label.copy(), parts.colour[np.arange(len(shapes.label)), hit[parts.carrier].astype(int)]
+
     def _object_of(self, geom: int) -> int:
         joint = self._model.body_jntadr[self._model.geom_bodyid[geom]]
         return int(self._model.jnt_qposadr[joint]) // 7

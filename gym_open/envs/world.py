@@ -121,6 +121,10 @@ class World:
         """(84, 84, 3) float32: unit vector out of what each pixel shows, in the world's frame; 0 for nothing."""
         return self._scene.picture(self.data.qpos, self._hit, normals=True).normal.copy()
 
+    def shown_colours(self) -> tuple[np.ndarray, np.ndarray]:
+        """Geoms (n,) of the objects on the table, and the colours (n, 3), 0–255, in which they are shown now."""
+        return self._scene.shown_colours(self._hit)
+
     def object_state(self) -> np.ndarray:
         """(N, 13) float64: position, quaternion (scalar first), linear and angular velocity, in the world's frame."""
         n = len(self.inventory)
