@@ -1,6 +1,6 @@
 """Score a policy, or a uniformly random one, on the fixed test puzzles of a task."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 from gym_open import artefacts, progress
 from gym_open.envs.constants import N_ACTIONS
 from gym_open.envs.env import OpenEnv
-from gym_open.envs.puzzle_sets import test_puzzles
+from gym_open.envs.puzzle_sets import puzzle_id, test_puzzles
 from gym_open.envs.puzzles import Puzzle, Task
 from gym_open.envs.tasks import step_budget
 from gym_open.errors import ArtefactError
@@ -66,7 +66,8 @@ def evaluate(config: EvaluateConfig, policy: Path | None, out: Path) -> artefact
         agent = _agent(policy)
         record = {"agent": agent, "task": config.task, "actions": config.actions, **scores, "proof": proof}
         (partial / "scores.json").write_bytes(artefacts.canonical_json(record))
-        _write_episodes(partial / "episodes.parquet", config.task, puzzles, episodes)
+        ids = [puzzle_id(config.task, "test", i) for i in range(len(puzzles))]
+        write_episodes(partial / "episodes.parquet", ids, puzzles, episodes)
         return {"task": config.task, "agent": agent, "puzzles": len(puzzles)}
 
     parents = [] if policy is None else [policy]
@@ -148,11 +149,12 @@ def _sample(probabilities: np.ndarray, rng: np.random.Generator) -> int:
     return min(int(np.searchsorted(edges, rng.random() * edges[-1], side="right")), len(edges) - 1)
 
 
-def _write_episodes(path: Path, task: Task, puzzles: tuple[Puzzle, ...], episodes: Episodes) -> None:
+def write_episodes(path: Path, ids: Sequence[str], puzzles: Sequence[Puzzle], episodes: Episodes) -> None:
+    """Write a row a puzzle, with every action and reward."""
     lengths = episodes.steps.tolist()
     table = pa.table(
         {
-            "puzzle": [f"{task}/{i:03d}" for i in range(len(puzzles))],
+            "puzzle": list(ids),
             "digest": [puzzle.digest for puzzle in puzzles],
             "a_success": [a_success(np.cumsum(row)) for row in episodes.rewards],
             "return": episodes.rewards.sum(axis=1),

@@ -22,8 +22,9 @@ IMAGE, STEP, SEGMENT, SWITCH = "/observation/image", "/step", "/segment", "/swit
 METRICS, EVENTS = "/metrics", "/events"
 METRIC_NAMES = ("intrinsic_reward", "world_model_loss", "policy_entropy", "value")
 
-Ended = Literal["learned", "exhausted", "budget"]
-Reason = Literal["start", "learned", "exhausted", "budget"]
+Ended = Literal["learned", "exhausted", "budget", "terminated"]
+"""The first three are the curriculum's; a task's episode ends as `terminated`, or with its step `budget`."""
+Reason = Literal["start", "learned", "exhausted", "budget", "terminated"]
 
 
 class LogError(ArtefactError):
