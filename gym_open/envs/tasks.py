@@ -7,13 +7,14 @@ from gym_open.envs.puzzles import GOALS, Puzzle, PuzzleError, Task
 from gym_open.envs.world import StepOutcome
 
 _BUDGET: dict[Task, int] = {"goal-seeking": 100, "preferences": 100, "avoidance": 100, "tool-use": 200}
-_PAY: dict[Task, dict[str, float]] = {
+PAY: dict[Task, dict[str, float]] = {
     "sandbox": {},
     "goal-seeking": {"yellow": 1.0},
     "preferences": {"yellow": 0.2, "green": 0.8},
     "avoidance": {"yellow": 1.0},
     "tool-use": {"yellow": 1.0},
 }
+"""What the first touch of a goal of each kind is worth."""
 
 
 class Verdict(msgspec.Struct, frozen=True):
@@ -53,5 +54,5 @@ def judge(task: Task, puzzle: Puzzle, already_hit: int, outcome: StepOutcome) ->
     if task == "avoidance" and outcome.in_danger:
         return Verdict(0.0, terminated=True)
     goals = sum(item.kind in GOALS for item in puzzle.objects)
-    reward = sum(_PAY[task].get(kind_of(name), 0.0) for name in outcome.hits)
+    reward = sum(PAY[task].get(kind_of(name), 0.0) for name in outcome.hits)
     return Verdict(reward, terminated=already_hit + len(outcome.hits) == goals)

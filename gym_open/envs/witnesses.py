@@ -1,0 +1,63 @@
+"""Witnesses: for every fixed puzzle, a sequence of actions that solves it; data of the package."""
+
+import functools
+from collections.abc import Iterable
+
+import msgspec
+
+from gym_open.envs.puzzle_sets import Split, data_file, locate, puzzle_id, puzzles_of
+from gym_open.envs.puzzles import PuzzleError, Task
+
+
+class Witness(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The proof that a puzzle can be solved."""
+
+    puzzle: str
+    """Its id."""
+    digest: str
+    """Digest of its layout."""
+    actions: tuple[int, ...]
+    """Actions that earn the whole return, the last of them ending the episode."""
+
+
+def witness_name(task: Task, split: Split) -> str:
+    """Name of the file of a set's witnesses."""
+    return f"{task}-{split}.witnesses.jsonl"
+
+
+def witness_bytes(task: Task, split: Split, sequences: Iterable[tuple[int, ...]]) -> bytes:
+    """The file of a set's witnesses: one a line, in the order of the puzzles."""
+    puzzles = puzzles_of(task, split)
+    witnesses = [
+        Witness(puzzle_id(task, split, i), puzzle.digest, actions)
+        for i, (puzzle, actions) in enumerate(zip(puzzles, sequences, strict=True))
+    ]
+    return b"".join(msgspec.json.encode(witness) + b"\n" for witness in witnesses)
+
+
+@functools.cache
+def witnesses_of(task: Task, split: Split) -> tuple[Witness, ...]:
+    """The witnesses of a task and split, in the order of `puzzles_of`.
+
+    Raises:
+        PuzzleError: if there is no such set, or its file is damaged or belongs to other puzzles.
+    """
+    puzzles, name = puzzles_of(task, split), witness_name(task, split)
+    try:
+        witnesses = [msgspec.json.decode(line, type=Witness) for line in data_file(name).read_bytes().splitlines()]
+    except (FileNotFoundError, msgspec.DecodeError) as error:
+        raise PuzzleError(f"puzzle_sets/{name}: {error}; reinstall gym-open") from None
+    expected = [(puzzle_id(task, split, i), puzzle.digest) for i, puzzle in enumerate(puzzles)]
+    if [(witness.puzzle, witness.digest) for witness in witnesses] != expected:
+        raise PuzzleError(f"puzzle_sets/{name}: ids or digests are not those of the puzzles; reinstall gym-open")
+    return tuple(witnesses)
+
+
+def witness_of(name: str) -> Witness:
+    """The witness of the fixed puzzle with this id.
+
+    Raises:
+        PuzzleError: if no fixed puzzle has this id.
+    """
+    task, split, index = locate(name)
+    return witnesses_of(task, split)[index]
