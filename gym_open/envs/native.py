@@ -44,9 +44,10 @@ class LayoutError(GymOpenError):
 
 
 class Layout(NamedTuple):
-    """Offsets in bytes of what a step reads, and the address of `mj_step`; numba takes it as it is."""
+    """Offsets in bytes of what a step reads, and addresses of functions; numba takes it as it is."""
 
     mj_step: int
+    mju_rotVecQuat: int  # noqa: N815  # its name
     ncon: int
     """In mjData, as are the next two."""
     contact: int
@@ -72,6 +73,7 @@ def layout() -> Layout:
     data, contact = _struct(STRUCTS, "mjData"), _struct(STRUCTS, "mjContact")
     found = Layout(
         mj_step=_address_of("mj_step"),
+        mju_rotVecQuat=_address_of("mju_rotVecQuat"),
         ncon=data.ncon.offset,
         contact=data.contact.offset,
         efc_force=data.efc_force.offset,
@@ -147,17 +149,27 @@ def _pointer(_: Any, _address: Any) -> Any:
     return types.voidptr(types.int64), generate
 
 
-def _call(_: Any, _function: Any, _first: Any, _second: Any) -> Any:
+def _call_with(count: int) -> Any:
     def generate(context: Any, builder: Any, _signature: Any, values: Any) -> Any:
         word = ir.IntType(64)
-        kind = ir.FunctionType(ir.VoidType(), [word, word])
+        kind = ir.FunctionType(ir.VoidType(), [word] * count)
         builder.call(builder.inttoptr(values[0], kind.as_pointer()), values[1:])
         return context.get_dummy_value()
 
-    return types.void(types.int64, types.int64, types.int64), generate
+    return types.void(*[types.int64] * (1 + count)), generate
+
+
+def _call2(_: Any, _function: Any, _first: Any, _second: Any) -> Any:
+    return _call_with(2)
+
+
+def _call3(_: Any, _function: Any, _first: Any, _second: Any, _third: Any) -> Any:
+    return _call_with(3)
 
 
 pointer = cast("Callable[[int], Any]", intrinsic(_pointer))
 """In compiled code: an address as a pointer, which `carray` makes an array of."""
-call = cast("Callable[[int, int, int], None]", intrinsic(_call))
+call2 = cast("Callable[[Any, Any, Any], None]", intrinsic(_call2))
 """In compiled code: call the C function at an address with two pointers, given as addresses."""
+call3 = cast("Callable[[Any, Any, Any, Any], None]", intrinsic(_call3))
+"""The same with three pointers."""

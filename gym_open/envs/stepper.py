@@ -1,8 +1,8 @@
 """A whole agent step, or some substeps, as one compiled call that never asks for the interpreter lock.
 
 Each world has a *board*: one record of plain numbers that compiled code reads and writes. The boards of many worlds can
-lie in one array, so that one call plays any of them. What compiled code calls is all in this file, because numba's
-cache notices changes of this file alone.
+lie in one array, a *fleet*, so that one call plays any of them. What compiled code calls is all in this file, because
+numba's cache notices changes of this file alone.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from gym_open.envs import constants as c
 from gym_open.envs.contacts import Contact, contacts_of, thing_names, things_of
 from gym_open.envs.jit import compiled
 from gym_open.envs.model import kind_of
-from gym_open.envs.native import Layout, address, call, layout, pointer
+from gym_open.envs.native import Layout, address, call2, call3, layout, pointer
 from gym_open.envs.puzzles import GOALS
 
 _PAIRS = 256
@@ -41,15 +41,14 @@ def new_boards(count: int, objects: int) -> np.ndarray:
         ("model", np.int64),  # address of mjModel
         ("data", np.int64),  # address of mjData
         ("qpos", np.int64),  # address of mjData's qpos
-        ("qvel", np.int64),
+        ("qvel", np.int64),  # and of its qvel
         ("danger", np.float64, 2),  # centre of the danger patch; NaN where there is none
-        ("in_danger", np.int32),
-        ("touches", np.int32),  # pairs of things that touched in the step
-        ("new_hits", np.int32),
+        ("counts", np.int32, 3),  # of the step: pairs that touched, new hits, whether in danger
         ("hit_order", np.int32, objects),  # goals hit for the first time in the step, in their order
         ("hit", np.uint8, objects),  # 1: this goal was hit since the puzzle was loaded
         ("pairs", np.int32, (_PAIRS, 2)),  # things that touched, in the order in which they began
         ("sums", np.float64, (_PAIRS, 8)),  # of each pair: impulse, mean position, normal, weight
+        ("states", np.float64, (objects, 13)),  # `World.object_state`
     ]
     return np.zeros(count, np.dtype(kind, align=True))
 
@@ -85,25 +84,64 @@ def play(  # noqa: PLR0917  # compiled code takes arguments by position
         plan: of the worlds' model.
     """
     board = boards[index]
-    board.touches, board.new_hits = 0, 0
-    board.in_danger = False
     agent = carray(pointer(board.qvel), 6, np.float64)
     agent[0] += push_x
     agent[1] += push_y
-    touches, danger = 0, substeps == 0 and _in_danger(board, plan.danger_half)
+    touches, hits = 0, 0
+    danger = substeps == 0 and _in_danger(board, plan.danger_half)
     for _ in range(substeps):
-        call(plan.layout.mj_step, board.model, board.data)
+        call2(plan.layout.mj_step, board.model, board.data)
         before = touches
         touches = _add_contacts(board, touches, plan)
         for slot in range(before, touches):
-            _note_hit(board, slot, plan)
+            hits = _add_hit(board, slot, hits, plan)
         danger = danger or _in_danger(board, plan.danger_half)
     _average(board.sums, touches)
-    board.touches, board.in_danger = touches, danger
+    board.counts[0], board.counts[1], board.counts[2] = touches, hits, danger
     if stop:
         down = min(agent[2], 0.0)
         agent[:] = 0.0
         agent[2] = down
+
+
+@compiled
+def play_actions(  # noqa: PLR0917
+    boards: np.ndarray, first: int, last: int, actions: np.ndarray, pushes: np.ndarray, substeps: int, plan: Plan
+) -> None:
+    """Take the actions of worlds `first` to `last` − 1; what has a negative action is left out.
+
+    Args:
+        boards: of all worlds.
+        first: index of the first world.
+        last: index past the last one.
+        actions: (worlds,) int64.
+        pushes: (actions, 2): change of the agent's velocity in m/s.
+        substeps: of each action but 0, which lets no time pass.
+        plan: of the worlds' model.
+    """
+    for i in range(first, last):
+        action = actions[i]
+        if action > 0:
+            play(boards, i, pushes[action, 0], pushes[action, 1], substeps, True, plan)
+        elif action == 0:
+            play(boards, i, 0.0, 0.0, 0, False, plan)
+        read_states(boards, i, plan)
+
+
+@compiled
+def read_states(boards: np.ndarray, index: int, plan: Plan) -> None:
+    """Write the board's `states`: position, quaternion, linear and angular velocity in the world's frame."""
+    board = boards[index]
+    states = board.states
+    n, start = len(states), np.int64(states.ctypes.data)
+    poses = carray(pointer(board.qpos), (n, 7), np.float64)
+    speeds = carray(pointer(board.qvel), (n, 6), np.float64)
+    for i in range(n):
+        states[i, :7] = poses[i]
+        states[i, 7:] = speeds[i]
+        if speeds[i, 3] != 0 or speeds[i, 4] != 0 or speeds[i, 5] != 0:  # MuJoCo keeps it in the body's own frame
+            out, speed, turn = start + 8 * (13 * i + 10), board.qvel + 8 * (6 * i + 3), board.qpos + 8 * (7 * i + 3)
+            call3(plan.layout.mju_rotVecQuat, out, speed, turn)
 
 
 @compiled
@@ -113,16 +151,17 @@ def _in_danger(board: Any, half: float) -> bool:
 
 
 @compiled
-def _note_hit(board: Any, slot: int, plan: Plan) -> None:
-    """A pair began to touch: if it is the agent and a goal for the first time, note it."""
+def _add_hit(board: Any, slot: int, hits: int, plan: Plan) -> int:
+    """A pair began to touch: note it if it is the agent and a goal, for the first time; return the number of hits."""
     a, b = board.pairs[slot, 0], board.pairs[slot, 1]
     if plan.agent not in (a, b):
-        return
+        return hits
     goal = plan.goals[b if a == plan.agent else a]
-    if goal >= 0 and not board.hit[goal]:
-        board.hit[goal] = 1
-        board.hit_order[board.new_hits] = goal
-        board.new_hits += 1
+    if goal < 0 or board.hit[goal]:
+        return hits
+    board.hit[goal] = 1
+    board.hit_order[hits] = goal
+    return hits + 1
 
 
 @compiled
@@ -177,6 +216,9 @@ def _average(sums: np.ndarray, count: int) -> None:
 class Stepper:
     """Steps one world through its board."""
 
+    hit: np.ndarray
+    """(n_objects,) bool: goals hit since `load`."""
+
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, objects: Sequence[str]) -> None:
         """Bind a board to a world's memory.
 
@@ -187,37 +229,71 @@ class Stepper:
         """
         self._objects, self._names = tuple(objects), thing_names(model)
         self._bound = model, data  # alive for as long as their addresses are used
-        self._boards, self._index = new_boards(1, len(objects)), 0
-        self._plan = _plan(model, objects)
-        board = self._board = self._boards[self._index]
+        self.plan = _plan(model, objects)
+        boards = new_boards(1, len(objects))
+        board = boards[0]
         board["model"], board["data"] = model._address, data._address  # noqa: SLF001
         board["qpos"], board["qvel"] = address(data.qpos), address(data.qvel)
-        self.hit: np.ndarray = board["hit"].view(np.bool_)
-        """(n_objects,) bool: goals hit since `load`."""
+        self.move(boards, 0)
         self.load(None)
+
+    @property
+    def board(self) -> np.ndarray:
+        """The board (a record), to be copied."""
+        return self._boards[self._index]
+
+    def move(self, boards: np.ndarray, index: int) -> None:
+        """Go on with another board, which holds what this one does."""
+        self._boards, self._index = boards, index
+        board = boards[index]
+        self.hit = board["hit"].view(np.bool_)
+        self._danger, self._counts, self._hit_order = board["danger"], board["counts"], board["hit_order"]
+        self._pairs, self._sums, self._states = board["pairs"], board["sums"], board["states"]
 
     def load(self, danger: tuple[float, float] | None) -> None:
         """A puzzle begins: no goal was hit; `danger` is the centre of its danger patch, if it has one."""
         self.hit[:] = False
-        self._board["danger"] = (np.nan, np.nan) if danger is None else danger
+        self._danger[:] = np.nan if danger is None else danger
 
     def step(self, push: tuple[float, float], substeps: int) -> StepOutcome:
         """Change the agent's velocity by `push` (m/s), let substeps pass, and stop it."""
-        play(self._boards, self._index, push[0], push[1], substeps, True, self._plan)
+        play(self._boards, self._index, push[0], push[1], substeps, True, self.plan)
         return self.outcome()
 
     def advance(self, substeps: int) -> StepOutcome:
         """Let substeps pass, which may be none; nobody pushes or stops the agent."""
-        play(self._boards, self._index, 0.0, 0.0, substeps, False, self._plan)
+        play(self._boards, self._index, 0.0, 0.0, substeps, False, self.plan)
         return self.outcome()
 
     def outcome(self) -> StepOutcome:
         """What happened in the last step, as Python objects."""
-        board = self._board
-        touches, new_hits = int(board["touches"]), int(board["new_hits"])
-        hits = tuple(self._objects[i] for i in board["hit_order"][:new_hits].tolist())
-        contacts = contacts_of(self._names, board["pairs"][:touches], board["sums"][:touches])
-        return StepOutcome(hits, bool(board["in_danger"]), contacts)
+        touches, new_hits, danger = self._counts.tolist()
+        hits = tuple(self._objects[i] for i in self._hit_order[:new_hits].tolist()) if new_hits else ()
+        contacts = contacts_of(self._names, self._pairs[:touches], self._sums[:touches]) if touches else ()
+        return StepOutcome(hits, bool(danger), contacts)
+
+    def states(self) -> np.ndarray:
+        """(n_objects, 13) float64: position, quaternion, linear and angular velocity, in the world's frame."""
+        read_states(self._boards, self._index, self.plan)
+        return self._states.copy()
+
+
+class Fleet:
+    """Steppers of one model with their boards side by side, so that a thread plays several worlds in one call."""
+
+    def __init__(self, steppers: Sequence[Stepper], substeps: int) -> None:
+        self.boards = np.array([stepper.board for stepper in steppers])
+        for index, stepper in enumerate(steppers):
+            stepper.move(self.boards, index)
+        self._plan, self._substeps = steppers[0].plan, substeps
+        self._pushes = c.MOVE_SPEED * np.array(c.MOVES, float)
+
+    def play(self, first: int, last: int, actions: np.ndarray) -> None:
+        """Take the actions (worlds,) int64 of worlds `first` to `last` − 1; who has a negative one is left out.
+
+        Other threads may play other worlds meanwhile.
+        """
+        play_actions(self.boards, first, last, actions, self._pushes, self._substeps, self._plan)
 
 
 def _plan(model: mujoco.MjModel, objects: Sequence[str]) -> Plan:

@@ -38,9 +38,8 @@ class World:
         self.present = np.zeros(len(self.inventory), bool)
         """(N,) which inventory objects are on the table."""
         self._puzzle: Puzzle | None = None
-        self._stepper = Stepper(self.model, self.data, self.inventory)
+        self.stepper = Stepper(self.model, self.data, self.inventory)
         self._scene = Scene(self.model, self.options.image_size)
-        self._hit = self._stepper.hit
 
     @property
     def puzzle(self) -> Puzzle:
@@ -61,7 +60,7 @@ class World:
         """
         indices = self._chosen(puzzle)
         self._puzzle = puzzle
-        self._stepper.load(c.cell_centre(puzzle.patch.row, puzzle.patch.column) if puzzle.patch else None)
+        self.stepper.load(c.cell_centre(puzzle.patch.row, puzzle.patch.column) if puzzle.patch else None)
         self.present[:] = False
         mujoco.mj_resetData(self.model, self.data)
         mujoco.mj_setState(self.model, self.data, _parked_state(self.model), _STATE)
@@ -84,9 +83,9 @@ class World:
         if self._puzzle is None:
             raise PuzzleError(_EMPTY)
         if action == 0:
-            return self._stepper.advance(0)
+            return self.stepper.advance(0)
         i, j = c.MOVES[action]
-        return self._stepper.step((c.MOVE_SPEED * i, c.MOVE_SPEED * j), self.options.substeps)
+        return self.stepper.step((c.MOVE_SPEED * i, c.MOVE_SPEED * j), self.options.substeps)
 
     def advance(self, substeps: int) -> StepOutcome:
         """Let physics steps pass without an action: nobody pushes or stops the agent.
@@ -99,11 +98,11 @@ class World:
             raise ValueError(f"substeps: expected 0 or more, got {substeps}")
         if self._puzzle is None:
             raise PuzzleError(_EMPTY)
-        return self._stepper.advance(substeps)
+        return self.stepper.advance(substeps)
 
     def observe(self, out: np.ndarray | None = None) -> np.ndarray:
         """What the camera sees: (84, 84, 3) uint8 RGB, written to `out` if that is given."""
-        image = self._scene.picture(self.data.qpos, self._hit).rgb
+        image = self._scene.picture(self.data.qpos, self.stepper.hit).rgb
         if out is None:
             return image.copy()
         out[...] = image
@@ -111,36 +110,29 @@ class World:
 
     def segmentation(self) -> np.ndarray:
         """(84, 84) int32: id of the geom that each pixel shows."""
-        return self._scene.picture(self.data.qpos, self._hit).label.copy()
+        return self._scene.picture(self.data.qpos, self.stepper.hit).label.copy()
 
     def depth(self) -> np.ndarray:
         """(84, 84) float32: metres to what each pixel shows, along the viewing direction; infinite for nothing."""
-        return self._scene.picture(self.data.qpos, self._hit).depth.astype(np.float32)
+        return self._scene.picture(self.data.qpos, self.stepper.hit).depth.astype(np.float32)
 
     def normals(self) -> np.ndarray:
         """(84, 84, 3) float32: unit vector out of what each pixel shows, in the world's frame; 0 for nothing."""
-        return self._scene.picture(self.data.qpos, self._hit, normals=True).normal.copy()
+        return self._scene.picture(self.data.qpos, self.stepper.hit, normals=True).normal.copy()
 
     def shown_colours(self) -> tuple[np.ndarray, np.ndarray]:
         """Geoms (n,) of the objects on the table, and the colours (n, 3), 0–255, in which they are shown now."""
-        return self._scene.shown_colours(self._hit)
+        return self._scene.shown_colours(self.stepper.hit)
 
     def object_state(self) -> np.ndarray:
         """(N, 13) float64: position, quaternion (scalar first), linear and angular velocity, in the world's frame."""
-        n = len(self.inventory)
-        state = np.empty((n, 13))
-        poses, speeds = self.data.qpos.reshape(n, 7), self.data.qvel.reshape(n, 6)
-        state[:, :7] = poses
-        state[:, 7:] = speeds
-        for i in speeds[:, 3:].any(axis=1).nonzero()[0]:  # MuJoCo keeps it in the body's own frame
-            mujoco.mju_rotVecQuat(state[i, 10:], speeds[i, 3:], poses[i, 3:])
-        return state
+        return self.stepper.states()
 
     def save_state(self) -> np.ndarray:
         """(S,) float64: everything that the future depends on, besides the puzzle."""
         state = np.empty(mujoco.mj_stateSize(self.model, _STATE))
         mujoco.mj_getState(self.model, self.data, state, _STATE)
-        hit = self._hit[list(GOAL_INDEX.values())].astype(float)
+        hit = self.stepper.hit[list(GOAL_INDEX.values())].astype(float)
         return np.concatenate([state, self.data.tree_asleep.astype(float), hit])
 
     def restore_state(self, state: np.ndarray) -> None:
@@ -158,7 +150,7 @@ class World:
         mujoco.mj_resetData(self.model, self.data)
         mujoco.mj_setState(self.model, self.data, state[:size], _STATE)
         self._wake_and_sleep(state[size : size + n].astype(np.int32), state[:size])
-        self._hit[list(GOAL_INDEX.values())] = state[size + n :] > 0
+        self.stepper.hit[list(GOAL_INDEX.values())] = state[size + n :] > 0
 
     def _wake_and_sleep(self, asleep: np.ndarray, state: np.ndarray | None = None) -> None:
         """Compute every body's derived quantities, which MuJoCo leaves alone while it sleeps; then let them sleep."""
