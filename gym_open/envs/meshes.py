@@ -17,7 +17,7 @@ import trimesh
 
 from gym_open.envs import constants as c
 from gym_open.envs.mjcf import text
-from gym_open.envs.options import SMALLEST_SIZE, Colour, MeshObject
+from gym_open.envs.options import LARGEST_SIZE, SMALLEST_SIZE, Colour, MeshObject
 from gym_open.errors import GymOpenError
 
 FORMATS = ("obj", "stl", "ply", "glb")
@@ -116,8 +116,8 @@ def _closed(mesh: trimesh.Trimesh) -> bool:
 def _check_size(extents: np.ndarray, scale: float) -> None:
     largest = float(extents.max())
     size = " × ".join(f"{value:.3g}" for value in extents)
-    if largest > c.PITCH:
-        fits = 0.99 * scale * c.PITCH / largest
+    if largest > LARGEST_SIZE:
+        fits = 0.99 * scale * LARGEST_SIZE / largest
         raise MeshError(f"{size} m is larger than a cell of {c.PITCH} m; use `scale` {fits:.3g} or less")
     if largest < SMALLEST_SIZE:
         fits = 1.01 * scale * SMALLEST_SIZE / largest

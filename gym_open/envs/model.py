@@ -13,15 +13,16 @@ import numpy as np
 
 from gym_open.envs import constants as c
 from gym_open.envs import scenery
+from gym_open.envs.bounciness import contact_reference
 from gym_open.envs.mjcf import indented, rgba, text
 from gym_open.envs.options import MeshObject, WorldOptions
 
 SPHERES = ("agent", "yellow", "green", "push")
 
-# Reference acceleration −k·depth − b·speed of a contact as "−k −b", in 1/s² and 1/s; MuJoCo scales it by the masses.
-_STIFFNESS = 40000.0
 # Friction brakes a sliding body no harder than b·speed. Harder, MuJoCo's convex friction makes fast cubes hop.
 _BRAKE = "-1 -10"
+# Time constant and damping ratio on the ground. Quicker, the edge of a tumbling cube bounces with more than it had.
+_LANDING = "0.02 1"
 _FIRM = "0.99 0.99 0.001"
 _ROLLING = 0.003
 _LID = c.LID_HEIGHT / (2 * c.RADIUS)
@@ -79,10 +80,11 @@ def model_xml(options: WorldOptions | None = None) -> str:
     lid = max(c.LID_HEIGHT, *(_LID * kind.size for name, kind in kinds.items() if name != "agent"))
     meshes = [line for name, kind in kinds.items() for line in kind.assets]
     camera = options.camera
+    objects, walls = (contact_reference(b, options.timestep_s) for b in (c.BOUNCINESS, c.BOUNCINESS / 2))
     return f"""\
 <mujoco model="open">
   <compiler angle="radian"/>
-  <option timestep="{options.timestep_s}" integrator="implicitfast" cone="elliptic" jacobian="dense" \
+  <option timestep="{options.timestep_s}" integrator="Euler" cone="elliptic" jacobian="dense" \
 sleep_tolerance="0.005">
     <flag sleep="enable"/>
   </option>
@@ -94,13 +96,13 @@ sleep_tolerance="0.005">
     <headlight active="0"/>
   </visual>
   <default>
-    <geom condim="1" solref="{_bounce(c.BOUNCINESS)}" solimp="{_FIRM}"/>
+    <geom condim="1" solref="{objects}" solimp="{_FIRM}"/>
     <default class="seen"><geom contype="0" conaffinity="0" group="0"/></default>
     <default class="scenery">
-      <geom contype="2" conaffinity="1" priority="1" solref="{_bounce(c.BOUNCINESS / 2)}"/>
+      <geom contype="2" conaffinity="1" priority="1" solref="{walls}"/>
     </default>
     <default class="unseen">
-      <geom contype="2" conaffinity="1" priority="1" group="4" solref="{_bounce(c.BOUNCINESS / 2)}"/>
+      <geom contype="2" conaffinity="1" priority="1" group="4" solref="{walls}"/>
     </default>
     <default class="lid">
       <geom contype="4" conaffinity="0" priority="1" group="4" solref="{scenery.NO_BOUNCE}"/>
@@ -124,26 +126,6 @@ xyaxes="{text(c.camera_axes(camera.direction)[:2].ravel())}" fovy="{camera.field
   </contact>
 </mujoco>
 """
-
-
-@functools.cache
-def restitution_damping(bounciness: float) -> float:
-    """Damping b in 1/s of a contact after which this fraction of the closing speed is left.
-
-    A contact is a damped spring, mass 1, that pushes but never pulls: with ζ = b / 2√k it ends after a phase of
-    π − atan2(2ζ√(1−ζ²), 1−2ζ²), when exp(−phase · ζ/√(1−ζ²)) of the speed is left. Solved for ζ by bisection.
-    """
-    low, high = 0.0, 1.0 - 1e-9
-    for _ in range(60):
-        damping = (low + high) / 2
-        root = np.sqrt(1 - damping**2)
-        phase = np.pi - np.arctan2(2 * damping * root, 1 - 2 * damping**2)
-        low, high = (damping, high) if np.exp(-phase * damping / root) > bounciness else (low, damping)
-    return float(2 * low * np.sqrt(_STIFFNESS))
-
-
-def _bounce(bounciness: float) -> str:
-    return f"{-_STIFFNESS:g} {-restitution_damping(bounciness):.4g}"
 
 
 class _Kind(NamedTuple):
@@ -269,7 +251,7 @@ def _pairs(options: WorldOptions, kinds: dict[str, _Kind]) -> list[str]:
         friction = text((kind.friction, kind.friction, 0.005, _ROLLING, _ROLLING))
         lines += [
             f'<pair geom1="ground" geom2="{part}" condim="{condim}" friction="{friction}" '
-            f'solreffriction="{_BRAKE}" {still}/>'
+            f'solref="{_LANDING}" solreffriction="{_BRAKE}" solimp="{_FIRM}"/>'
             for part in _touched(name, kind)
         ]
     return lines + _bounces(options, kinds)
@@ -286,11 +268,12 @@ def _bounces(options: WorldOptions, kinds: dict[str, _Kind]) -> list[str]:
         kind = kinds[kind_of(name)]
         found += [(wall, part, kind.bounciness / 2) for wall in scenery.BOUNCING for part in _touched(name, kind)]
     usual = {False: c.BOUNCINESS, True: c.BOUNCINESS / 2}
-    return [
-        f'<pair geom1="{x}" geom2="{y}" condim="1" solref="{_bounce(value)}" solimp="{_FIRM}"/>'
-        for x, y, value in found
-        if abs(value - usual[x in scenery.BOUNCING]) > 1e-9
-    ]
+    lines: list[str] = []
+    for x, y, value in found:
+        if abs(value - usual[x in scenery.BOUNCING]) > 1e-9:
+            reference = contact_reference(value, options.timestep_s)
+            lines.append(f'<pair geom1="{x}" geom2="{y}" condim="1" solref="{reference}" solimp="{_FIRM}"/>')
+    return lines
 
 
 def _block(lines: list[str]) -> str:

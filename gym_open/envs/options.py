@@ -20,6 +20,8 @@ MESH: Final = "mesh:"
 """What the kind of a user's mesh begins with; its name follows."""
 SMALLEST_SIZE: Final = 0.04
 """Metres across: a smaller thing could pass the pen's wall between two substeps."""
+LARGEST_SIZE: Final = 0.139
+"""Metres across: things on neighbouring cells must not touch, since they begin asleep."""
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 _MASSES = (0.1, 1000.0)
 _FRICTIONS = (0.0, 2.0)
@@ -55,16 +57,15 @@ class ObjectOptions(Config, frozen=True, kw_only=True, omit_defaults=True):
     bounciness: float | None = None
     """0–0.9: two objects keep the mean of theirs of their closing speed, an object and a wall half of the object's."""
     size: float | None = None
-    """Metres across, 0.04 to a cell's 0.141: a sphere's diameter, a cube's edge; a rectangle is three times as long."""
+    """Metres across, 0.04–0.139: a sphere's diameter, a cube's edge; a rectangle is three times as long."""
     colour: Colour | None = None
     """Red, green and blue, 0–255. Where rewards are on, a goal that was touched still turns v1's hit colour."""
 
     def __post_init__(self) -> None:
         _check_dynamics("object", self)
-        if self.size is not None and not SMALLEST_SIZE <= self.size <= c.PITCH:
-            raise ConfigError(
-                f"object size: {self.size} m does not fit a cell of {c.PITCH} m; choose {SMALLEST_SIZE} to {c.PITCH}"
-            )
+        if self.size is not None and not SMALLEST_SIZE <= self.size <= LARGEST_SIZE:
+            fits = f"choose {SMALLEST_SIZE} to {LARGEST_SIZE}"
+            raise ConfigError(f"object size: {self.size} m does not fit a cell of {c.PITCH} m; {fits}")
 
 
 class MeshObject(Config, frozen=True, kw_only=True, omit_defaults=True):

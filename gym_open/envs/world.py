@@ -67,6 +67,8 @@ class World:
         self._place_objects(puzzle, indices)
         self._place_pieces(puzzle)
         asleep = np.arange(len(self.inventory))
+        for group in indices:  # what touches sleeps together: MuJoCo has each point to the next, in a ring
+            asleep[group] = group[1:] + group[:1]
         asleep[0] = AWAKE
         self._wake_and_sleep(asleep)
         self._scene.load(self.data, self.present, recolour_hits=recolour_hits)
