@@ -3,16 +3,30 @@
 from typing import Literal
 
 from gym_open.config import Config, PositiveInt, Seed
+from gym_open.envs.puzzle_sets import Split
 
 
 class EvaluateConfig(Config, frozen=True, kw_only=True):
-    """How a policy is scored on the fixed 100 puzzles of a task."""
+    """How a policy is scored on 100 fixed puzzles of a task."""
 
     task: Literal["goal-seeking", "preferences", "avoidance", "tool-use"] = "goal-seeking"
-    """Task whose fixed test puzzles are played."""
+    """Task whose fixed puzzles are played."""
+    split: Split = "test"
+    """Which set: `validation` to choose between models, `test` to report."""
     actions: Literal["sampled", "greedy"] = "sampled"
     """Draw actions from the policy, or take the most likely one."""
     threads: PositiveInt = 2
     """Torch threads; part of the configuration because the number of threads may change the last bits."""
     seed: Seed = 0
     """Root seed of the sampled actions."""
+
+
+class OracleConfig(Config, frozen=True, kw_only=True):
+    """What decides the oracle's scores."""
+
+    task: str
+    """Task whose fixed puzzles are played."""
+    split: Split
+    """Which set."""
+    witnesses: str
+    """SHA-256 of the set's witnesses."""

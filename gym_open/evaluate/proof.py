@@ -13,7 +13,7 @@ from gym_open.artefacts import Lineage, Parent
 from gym_open.envs.puzzle_sets import test_puzzles
 from gym_open.envs.puzzles import TASKS
 
-Verdict = Literal["proven", "no encoder", "missing"]
+Verdict = Literal["proven", "no encoder", "missing", "not applicable"]
 
 
 class Proof(msgspec.Struct, frozen=True):
@@ -21,6 +21,7 @@ class Proof(msgspec.Struct, frozen=True):
 
     `proven`: the whole chain is there and task-free. `no encoder`: nothing was learned before the task.
     `missing`: the chain breaks where `reasons` says, and nothing is certified.
+    `not applicable`: what played is no policy.
     """
 
     verdict: Verdict
@@ -41,6 +42,12 @@ def task_free_proof(policy: Lineage | None) -> Proof:
             chain.append(line)
             reasons.extend(faults)
     return Proof(verdict="missing" if reasons else "proven", reasons=reasons, chain=chain)
+
+
+def oracle_proof() -> Proof:
+    """What can be said of the oracle: nothing of the kind, since it was made from the very puzzles that it plays."""
+    reason = "the oracle replays action sequences that a planner found in these very puzzles, seeing their full state"
+    return Proof(verdict="not applicable", reasons=[reason], chain=[])
 
 
 _BELOW = {"encoder": "release", "release": "log"}

@@ -1,16 +1,23 @@
 """Playing the fixed puzzles: what is recorded is what happened, and it can be replayed."""
 
+from pathlib import Path
+
+import msgspec
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
+from gym_open import artefacts
 from gym_open.envs.constants import N_ACTIONS
 from gym_open.envs.env import OpenEnv
 from gym_open.envs.puzzle_sets import test_puzzles as fixed_puzzles
 from gym_open.envs.puzzles import TASKS, Task
 from gym_open.envs.tasks import step_budget
+from gym_open.envs.witnesses import witnesses_of
+from gym_open.errors import UsageError
 from gym_open.evaluate import a_success
 from gym_open.evaluate.config import EvaluateConfig
-from gym_open.evaluate.play import Episodes, play, summarise
+from gym_open.evaluate.play import Episodes, evaluate, play, replay, summarise
 
 
 def _uniform(images: np.ndarray) -> np.ndarray:
@@ -72,3 +79,46 @@ def test_the_interval_is_that_of_the_puzzles_own_values() -> None:
     assert scores["a_success_half_width_95"] == pytest.approx(1.96 * np.std(own, ddof=1) / np.sqrt(3))
     assert scores["mean_return"] == pytest.approx(2 / 3)
     assert scores["mean_steps"] == pytest.approx(16 / 3)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_the_oracle_earns_everything_in_all_puzzles_of_a_split(task: Task, tmp_path: Path) -> None:
+    config = EvaluateConfig(task=task, split="validation")
+    made = evaluate(config, None, tmp_path / "scores", oracle=True)
+    record = msgspec.json.decode((made.path / "scores.json").read_bytes())
+    assert (record["agent"], record["task"], record["split"]) == ("oracle", task, "validation")
+    assert record["proof"]["verdict"] == "not applicable"
+    assert record["mean_return"] == pytest.approx(1.0)
+    episodes = pq.read_table(made.path / "episodes.parquet").to_pylist()
+    assert [row["puzzle"] for row in episodes] == [f"{task}/validation/{i:03d}" for i in range(100)]
+    assert [tuple(row["actions"]) for row in episodes] == [w.actions for w in witnesses_of(task, "validation")]
+    # A-Success by the closed form, from the actions at which the goals were touched.
+    N = step_budget(task)
+    own = [sum(r * (1 - np.log(k) / np.log(N + 1)) for k, r in enumerate(row["rewards"], 1)) for row in episodes]
+    assert record["a_success"] == pytest.approx(np.mean(own))
+    assert not evaluate(config, None, tmp_path / "scores", oracle=True).made
+
+
+def test_the_oracles_scores_are_not_taken_for_the_random_agents(tmp_path: Path) -> None:
+    config = EvaluateConfig(task="goal-seeking")
+    first = evaluate(config, None, tmp_path / "scores", oracle=True)
+    second = evaluate(config, None, tmp_path / "scores")
+    assert second.made
+    assert second.earlier
+    agents = [artefacts.lineage(path).facts["agent"] for path in (second.earlier, second.path)]
+    assert agents == ["oracle", "random"]
+    assert first.path == second.path
+
+
+def test_a_replay_does_nothing_behind_the_sequence() -> None:
+    puzzle = fixed_puzzles("goal-seeking")[:1]
+    episodes = replay("goal-seeking", puzzle, [[]])
+    assert not episodes.actions.any()
+    assert not episodes.rewards.any()
+    assert episodes.steps[0] == 100
+    assert not episodes.terminated[0]
+
+
+def test_the_oracle_takes_no_policy(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="leave one of the two out"):
+        evaluate(EvaluateConfig(), tmp_path / "policy", tmp_path / "scores", oracle=True)
