@@ -1,5 +1,6 @@
 """Puzzles, generators and the fixed test sets."""
 
+import hashlib
 import itertools
 
 import msgspec
@@ -8,10 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gym_open import seeding
 from gym_open.config import load
 from gym_open.envs import generators, puzzles
 from gym_open.envs.generators import SandboxConfig, sample_puzzle
-from gym_open.envs.make_puzzle_sets import set_bytes
+from gym_open.envs.make_puzzle_sets import SEED, set_bytes
 from gym_open.envs.puzzle_sets import (
     SPLITS,
     actual_digests,
@@ -37,10 +39,14 @@ def cells_of(puzzle: Puzzle, *kinds: str) -> list[tuple[int, int]]:
 
 
 def assert_well_laid(puzzle: Puzzle) -> None:
-    cells = cells_of(puzzle, *puzzles.KINDS)
+    """The rules, from the drawn record alone; the rectangles' cells are worked out anew."""
+    cells: list[tuple[int, int]] = []
+    for item in puzzle.objects:
+        reach = (-1, 0, 1) if item.kind == "rectangle" else (0,)
+        cells += [(item.row + k, item.column) if item.turned else (item.row, item.column + k) for k in reach]
     assert len(set(cells)) == len(cells)
     assert all(1 <= i <= 14 and 1 <= j <= 7 for i, j in cells)
-    cubes = cells_of(puzzle, "heavy", "light")
+    cubes = cells_of(puzzle, "heavy", "light", "stack")
     assert all(abs(a[0] - b[0]) + abs(a[1] - b[1]) > 1 for a, b in itertools.combinations(cubes, 2))
     if puzzle.patch:
         centre = (puzzle.patch.row, puzzle.patch.column)
@@ -156,16 +162,29 @@ def test_unknown_ids_are_refused_with_their_form(name: str) -> None:
         puzzle_by_id(name)
 
 
-def test_training_never_draws_a_test_layout(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("draws", [1000, pytest.param(20_000, marks=pytest.mark.slow)])
+def test_training_never_draws_a_fixed_layout(draws: int) -> None:
     rng = np.random.default_rng(7)
-    drawn = {sample_puzzle(task, rng).digest for task in ALL_TASKS for _ in range(1500)}
-    assert drawn.isdisjoint(reserved_digests())
-    # And not by luck alone: a generator that meets a reserved layout draws again.
+    for task in ALL_TASKS:
+        drawn = {sample_puzzle(task, rng).digest for _ in range(draws)}
+        assert len(drawn) > 0.99 * draws
+        assert drawn.isdisjoint(reserved_digests())
+
+
+def test_a_generator_that_meets_a_fixed_layout_draws_again(monkeypatch: pytest.MonkeyPatch) -> None:
     first, second = (sample_puzzle("avoidance", np.random.default_rng(s)) for s in (1, 2))
     draws = iter([first, second])
     monkeypatch.setattr(generators, "reserved_digests", lambda: frozenset({first.digest}))
     monkeypatch.setattr(generators, "draw_layout", lambda *_: next(draws))
-    assert sample_puzzle("avoidance", rng) == second
+    assert sample_puzzle("avoidance", np.random.default_rng(0)) == second
+
+
+def test_fixed_layouts_are_drawn_again_as_they_were() -> None:
+    """The seeds that made the sets lead a training draw to a layout of the sets, which it then leaves out."""
+    rng = seeding.generator(SEED, "validation-puzzles", "tool-use")
+    assert generators.draw_layout("tool-use", rng) == puzzle_by_id("tool-use/validation/000")
+    rng = seeding.generator(SEED, "validation-puzzles", "tool-use")
+    assert sample_puzzle("tool-use", rng).digest not in reserved_digests()
 
 
 def test_no_test_set_for_the_sandbox() -> None:
@@ -184,6 +203,14 @@ def test_digest_is_of_the_layout_alone() -> None:
     [
         (SandboxConfig(heavy=(30, 30)), "at most 12 fit the model, got 30"),
         (SandboxConfig(yellow=(3, 1)), "smallest ≤ largest"),
+        (SandboxConfig(stack=(4, 4), light=(1, 1)), "sandbox.stack: 4 stacks of 2 and 1 more light cubes"),
+        (SandboxConfig(push=(3, 3)), "sandbox.push: at most 2"),
+        (SandboxConfig(yellow_cells=((8, 4), (8, 5))), "sandbox.yellow_cells: 2 cells for at least 1"),
+        (SandboxConfig(agent_cell=(8, 4), yellow_cells=((8, 4),)), r"two objects on cell \(8, 4\)"),
+        (SandboxConfig(agent_cell=(0, 8)), "cut off by the table's corner"),
+        (SandboxConfig(agent_cell=(1, 4), pen_probability=1), "no pen has cell .1, 4. inside"),
+        (SandboxConfig(agent_cell=(16, 4), pen_probability=0), "sticks out of the table"),
+        (SandboxConfig(meshes=("no name",)), "no kind 'mesh:no name'"),
         (SandboxConfig(yellow=(3, 3), green=(3, 3), radius=1), "no sandbox layout found"),
     ],
 )
@@ -193,21 +220,73 @@ def test_impossible_requests_are_refused(config: SandboxConfig, message: str) ->
 
 
 pairs = st.tuples(st.integers(0, 6), st.integers(0, 12)).map(lambda pair: (min(pair), max(pair)))
-
-
-@settings(max_examples=40, deadline=None)
-@given(
-    seed=seeds, yellow=pairs, green=pairs, heavy=pairs, light=pairs, radius=st.integers(1, 15), share=st.floats(0, 1)
+few = st.tuples(st.integers(0, 3), st.integers(0, 2)).map(lambda pair: (min(pair), max(pair)))
+requests = st.fixed_dictionaries(
+    {"yellow": pairs, "green": pairs, "heavy": pairs, "light": pairs}
+    | {"push": few, "rectangle": few, "cone": few, "stack": few, "radius": st.integers(1, 15)}
 )
-def test_any_request_is_met_or_refused(seed: int, share: float, **request) -> None:
-    config = SandboxConfig(**request, pen_probability=share, patch_probability=1 - share)
+cells = st.tuples(st.integers(0, 15), st.integers(0, 8))
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=seeds, share=st.floats(0, 1), request=requests, meshes=st.lists(st.sampled_from(["duck", "bunny-2"])))
+def test_any_request_is_met_or_refused(seed: int, share: float, request: dict, meshes: list[str]) -> None:
+    config = SandboxConfig(**request, meshes=tuple(meshes), pen_probability=share, patch_probability=1 - share)
     try:
         puzzle = sample_puzzle("sandbox", np.random.default_rng(seed), config)
     except PuzzleError:
         return
     assert_well_laid(puzzle)
-    for kind in ("yellow", "green", "heavy", "light"):
+    assert Puzzle.from_json(puzzle.to_json()) == puzzle
+    for kind in set(request) - {"radius"}:
         assert request[kind][0] <= len(cells_of(puzzle, kind)) <= request[kind][1]
+    for name in meshes:
+        assert len(cells_of(puzzle, f"mesh:{name}")) == meshes.count(name)
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=seeds, agent=cells, yellow=st.lists(cells, max_size=3), pen=st.booleans(), patch=st.booleans())
+def test_fixed_cells_are_kept(
+    seed: int, agent: tuple[int, int], yellow: list[tuple[int, int]], pen: bool, patch: bool
+) -> None:
+    config = SandboxConfig(
+        yellow=(len(yellow), 3),
+        agent_cell=agent,
+        yellow_cells=tuple(yellow),
+        pen_probability=float(pen),
+        patch_probability=float(patch),
+    )
+    try:
+        puzzle = sample_puzzle("sandbox", np.random.default_rng(seed), config)
+    except PuzzleError:
+        return
+    assert cells_of(puzzle, "agent") == [agent]
+    assert set(yellow) <= set(cells_of(puzzle, "yellow"))
+    assert (puzzle.pen is not None, puzzle.patch is not None) == (pen, patch)
+    if puzzle.pen:
+        inside = puzzles.block(puzzle.pen.row, puzzle.pen.column, 1) - puzzles.ramp_cells(puzzle.pen)
+        assert agent in inside
+
+
+def test_draws_of_version_1_have_not_changed() -> None:
+    """The default pipeline's pool of puzzles, and the training puzzles: SHA-256 over the digests of 200 draws each."""
+    first = {"sandbox": "3bc7fa341bf6c795", "tool-use": "3fa8a9967b85b648", "avoidance": "fb5fa193bb71c971"}
+    for task, expected in first.items():
+        rng = np.random.default_rng(3)
+        drawn = "".join(sample_puzzle(task, rng).digest for _ in range(200))  # pyright: ignore[reportArgumentType]
+        assert hashlib.sha256(drawn.encode()).hexdigest()[:16] == expected
+
+
+def test_rectangles_lie_along_both_axes() -> None:
+    rng = np.random.default_rng(0)
+    config = SandboxConfig(rectangle=(2, 2))
+    turned = [
+        item.turned
+        for _ in range(50)
+        for item in sample_puzzle("sandbox", rng, config).objects
+        if item.kind == "rectangle"
+    ]
+    assert 25 < sum(turned) < 75
 
 
 def test_sandbox_config_reads_toml(tmp_path) -> None:
@@ -231,6 +310,16 @@ AGENT = Placement("agent", 8, 4)
         ([AGENT], {"patch": Patch(0, 4)}, "sticks out"),
         ([AGENT], {"pen": Pen(8, 4, "north")}, "where the pen's wall or ramp stands"),
         ([AGENT], {"task": "goal-seeking"}, "needs an object of kind 'yellow'"),
+        ([AGENT, Placement("rectangle", 8, 5)], {}, r"two objects on cell \(8, 4\)"),
+        ([AGENT, Placement("rectangle", 8, 8)], {}, "'rectangle' at .8, 8. sticks out of the table"),
+        ([AGENT, Placement("rectangle", 0, 4, turned=True)], {}, "sticks out of the table, at cell .-1, 4."),
+        ([AGENT, Placement("cone", 15, 0)], {}, "sticks out of the table"),
+        ([AGENT, *(Placement("stack", 1, j) for j in range(1, 6))], {}, "10 objects of kind 'light' .a stack takes 2."),
+        (
+            [AGENT, *(Placement("push", 1, j) for j in range(1, 4))],
+            {},
+            "3 objects of kind 'push', but the model",
+        ),
         ([AGENT, Placement("yellow", 1, 1)], {"task": "avoidance"}, "needs a patch"),
         ([AGENT, Placement("yellow", 1, 1)], {"task": "tool-use"}, "needs a pen"),
     ],
@@ -238,6 +327,33 @@ AGENT = Placement("agent", 8, 4)
 def test_impossible_puzzles_are_refused(objects: list[Placement], pieces: dict, message: str) -> None:
     with pytest.raises(PuzzleError, match=message):
         Puzzle(**{"task": "sandbox", "objects": arranged(objects), **pieces})
+
+
+def test_a_rectangle_takes_three_cells_either_way() -> None:
+    assert puzzles.footprint(Placement("rectangle", 5, 4)) == {(5, 3), (5, 4), (5, 5)}
+    assert puzzles.footprint(Placement("rectangle", 5, 4, turned=True)) == {(4, 4), (5, 4), (6, 4)}
+    pen = Pen(8, 4, "north")
+    with pytest.raises(PuzzleError, match="where the pen's wall"):
+        Puzzle("sandbox", arranged([Placement("agent", 9, 4), Placement("rectangle", 8, 7)]), pen=pen)
+
+
+def test_turned_is_written_only_where_it_says_something() -> None:
+    straight = Puzzle("sandbox", arranged([AGENT, Placement("rectangle", 5, 4)]))
+    turned = Puzzle("sandbox", arranged([AGENT, Placement("rectangle", 5, 4, turned=True)]))
+    assert b"turned" not in straight.to_json()
+    assert Puzzle.from_json(turned.to_json()) == turned
+    assert straight.digest != turned.digest
+
+
+@pytest.mark.parametrize(("kind", "turned"), [("cube", False), ("mesh:", False), ("mesh:a b", False), ("heavy", True)])
+def test_no_such_kinds(kind: str, turned: bool) -> None:
+    with pytest.raises(PuzzleError, match=kind):
+        Placement(kind, 1, 1, turned=turned)
+
+
+def test_meshes_come_last_in_order_of_name() -> None:
+    mixed = [Placement("mesh:b", 1, 1), Placement("mesh:a", 9, 1), Placement("stack", 3, 3), AGENT]
+    assert [item.kind for item in arranged(mixed)] == ["agent", "stack", "mesh:a", "mesh:b"]
 
 
 def test_unsorted_and_malformed_records_are_refused() -> None:
