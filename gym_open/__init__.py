@@ -16,7 +16,12 @@ ENV_IDS = {
 for _task, _name in ENV_IDS.items():
     # The string is imported when an environment is made: physics and ray caster load only then.
     if _name not in gymnasium.registry:
-        gymnasium.register(id=_name, entry_point="gym_open.envs.env:OpenEnv", kwargs={"task": _task})
+        gymnasium.register(
+            id=_name,
+            entry_point="gym_open.envs.env:OpenEnv",
+            vector_entry_point="gym_open.envs.vector:OpenVectorEnv",
+            kwargs={"task": _task},
+        )
 
 PAPER_ENV_ID = "open_puzzle_proc-v0"
 """The id that the paper's supplement names, as `gym_open:open_puzzle_proc-v0`: its own interface, not Gymnasium's."""

@@ -1,6 +1,7 @@
-"""The Gymnasium environments: one class, five ids."""
+"""The Gymnasium environment: one class for the sandbox and all tasks."""
 
-from typing import Any, ClassVar
+import operator
+from typing import Any, ClassVar, Literal, get_args
 
 import gymnasium
 import msgspec
@@ -9,9 +10,18 @@ from gymnasium import spaces
 
 from gym_open.envs import constants as c
 from gym_open.envs.generators import SandboxConfig, sample_puzzle
+from gym_open.envs.options import WorldOptions
 from gym_open.envs.puzzles import Puzzle, PuzzleError, Task
 from gym_open.envs.tasks import judge, rewarded, step_budget
-from gym_open.envs.world import World
+from gym_open.envs.world import StepOutcome, World
+from gym_open.errors import UsageError
+
+ObservationMode = Literal["image", "dict"]
+Look = Literal["observation", "handsome"]
+
+# Far beyond what was ever seen on the table; a state outside is clipped.
+_STATE_BOUND = np.repeat([5.0, 1.0, 100.0, 10_000.0], [3, 4, 3, 3]).astype(np.float32)
+"""(13,): position in m, quaternion, velocity in m/s, angular velocity in rad/s."""
 
 
 class EnvSnapshot(msgspec.Struct, frozen=True):
@@ -30,11 +40,40 @@ class EnvSnapshot(msgspec.Struct, frozen=True):
     """State of the generator that draws puzzles."""
 
 
-class OpenEnv(gymnasium.Env[np.ndarray, np.int64]):
-    """A puzzle on the table, seen as an (84, 84, 3) uint8 image and played with nine actions.
+class OpenEnv(gymnasium.Env[Any, np.int64]):
+    """A puzzle on the table, seen as an image and played with nine actions.
 
-    Each reset draws a new training puzzle, or takes `options={"puzzle": Puzzle}`. `info` names the layout's digest and,
-    after a step, the goals hit in it. The sandbox pays nothing and never ends; the tasks are truncated at their budget.
+    Each reset draws a new training puzzle, or takes `options={"puzzle": Puzzle}`. The sandbox pays nothing and never
+    ends; the tasks are truncated at their budget.
+
+    An observation is the image, (84, 84, 3) uint8; with `observation="dict"` it is a dictionary of
+
+    - `image`: the same;
+    - `object_state`: (N, 13) float32, a row for each object of the model: position (m), quaternion (scalar first),
+      velocity (m/s), angular velocity (rad/s), in the world's frame; a row of zeros for an object that is not there;
+    - `present`: (N,) int8, 1 for each object that is there.
+
+    After reset and after each step, `info` holds
+
+    - `puzzle_digest`: the layout's;
+    - `object_state`: (N, 13) float64, exact, of parked objects too (`env.unwrapped.world.inventory` names the rows);
+    - `contacts`: tuple of `Contact`, what touched what during the step, but for the table top;
+    - `hits`: tuple of names, goals touched for the first time in the step;
+    - `in_danger`: whether the agent was in the danger patch at any substep.
+
+    Args:
+        task: what is asked for; puzzles are drawn for it.
+        sandbox: what lies in a sandbox world.
+        world: everything about the world that can vary; None is the published one.
+        observation: see above.
+        rewards: without them, nothing is paid, nothing ends or is truncated, and goals keep their colour.
+        render_mode: None, or "rgb_array".
+        render_look: what `render` draws: the observation's image, or one for people, which needs OpenGL.
+        render_size: width and height of the latter in pixels.
+
+    Raises:
+        UsageError: if an argument is none of its choices.
+        MeshError: if a mesh of the world's options cannot be used.
     """
 
     metadata: ClassVar[dict[str, Any]] = {  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -43,14 +82,31 @@ class OpenEnv(gymnasium.Env[np.ndarray, np.int64]):
     }
 
     def __init__(
-        self, task: Task = "sandbox", *, sandbox: SandboxConfig | None = None, render_mode: str | None = None
+        self,
+        task: Task = "sandbox",
+        *,
+        sandbox: SandboxConfig | None = None,
+        world: WorldOptions | None = None,
+        observation: ObservationMode = "image",
+        rewards: bool = True,
+        render_mode: str | None = None,
+        render_look: Look = "observation",
+        render_size: tuple[int, int] = (640, 480),
     ) -> None:
+        _check_choice("task", task, get_args(Task))
+        _check_choice("observation", observation, get_args(ObservationMode))
+        _check_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
+        _check_choice("render_look", render_look, get_args(Look))
         self.task: Task = task
         self.render_mode = render_mode
-        self.observation_space = spaces.Box(0, 255, (c.IMAGE_SIZE, c.IMAGE_SIZE, 3), np.uint8)
+        self.world = World(world)
+        self.observation_space = _observation_space(self.world, observation)
         self.action_space = spaces.Discrete(c.N_ACTIONS)
-        self.world = World()
+        self._judged: Task = task if rewards else "sandbox"
         self._sandbox = sandbox or SandboxConfig()
+        self._handsome = render_look == "handsome"
+        self._render_size = render_size
+        self._renderer: Any = None
         self._steps = 0
         self._return = 0.0
         self._hits = 0
@@ -60,33 +116,83 @@ class OpenEnv(gymnasium.Env[np.ndarray, np.int64]):
         """The puzzle being played."""
         return self.world.puzzle
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[np.ndarray, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin an episode on a drawn puzzle, or on `options["puzzle"]`.
 
         Raises:
             PuzzleError: if an option is unknown, or its puzzle is none or another task's.
         """
-        super().reset(seed=seed)
-        self._begin(self._chosen(options or {}) or sample_puzzle(self.task, self.np_random, self._sandbox))
-        return self.world.observe(), {"puzzle_digest": self.puzzle.digest}
+        self.begin(seed, options or {})
+        return self.observe(), self.info(self.world.advance(0))
 
-    def step(self, action: np.int64 | int) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Take one action: 0 nothing, 1–8 a move of one cell (1 is +x, then counter-clockwise)."""
-        outcome = self.world.step(int(action))
-        verdict = judge(self.task, self.puzzle, self._hits, outcome)
+    def step(self, action: np.int64 | int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Take one action: 0 nothing, 1–8 a move of one cell (1 is +x, then counter-clockwise).
+
+        Raises:
+            TypeError: if the action is no whole number.
+            ValueError: if it is none of 0–8.
+        """
+        outcome = self.world.step(operator.index(action))
+        return self.observe(), *self.score(outcome), self.info(outcome)
+
+    def begin(self, seed: int | None, options: dict[str, Any]) -> None:
+        """What `reset` does, without looking."""
+        super().reset(seed=seed)
+        self._load(self._chosen(options) or sample_puzzle(self.task, self.np_random, self._sandbox))
+
+    def score(self, outcome: StepOutcome) -> tuple[float, bool, bool]:
+        """Count a step that was taken: its reward, and whether it terminated or truncated the episode."""
+        verdict = judge(self._judged, self.puzzle, self._hits, outcome)
         self._steps += 1
         self._hits += len(outcome.hits)
         self._return += verdict.reward
-        out_of_budget = self.task != "sandbox" and self._steps >= step_budget(self.task)
-        truncated = out_of_budget and not verdict.terminated
-        info = {"puzzle_digest": self.puzzle.digest, "hits": outcome.hits, "in_danger": outcome.in_danger}
-        return self.world.observe(), verdict.reward, verdict.terminated, truncated, info
+        out_of_budget = rewarded(self._judged) and self._steps >= step_budget(self._judged)
+        return verdict.reward, verdict.terminated, out_of_budget and not verdict.terminated
+
+    def observe(self, out: Any = None) -> Any:
+        """The observation of the present: in arrays of its own, or written into those of `out`."""
+        if not isinstance(self.observation_space, spaces.Dict):
+            return self.world.observe(out)
+        if out is None:
+            out = {name: np.empty(box.shape or (), box.dtype) for name, box in self.observation_space.items()}
+        self.world.observe(out["image"])
+        np.clip(self.world.object_state(), -_STATE_BOUND, _STATE_BOUND, out=out["object_state"], casting="same_kind")
+        out["object_state"][~self.world.present] = 0
+        out["present"][:] = self.world.present
+        return out
+
+    def info(self, outcome: StepOutcome) -> dict[str, Any]:
+        """What is told about a step besides its observation."""
+        return {
+            "puzzle_digest": self.puzzle.digest,
+            "object_state": self.world.object_state(),
+            "contacts": outcome.contacts,
+            "hits": outcome.hits,
+            "in_danger": outcome.in_danger,
+        }
 
     def render(self) -> np.ndarray | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """The observation once more, for `render_mode="rgb_array"`."""
-        return self.world.observe() if self.render_mode == "rgb_array" else None
+        """With `render_mode="rgb_array"`: (height, width, 3) uint8, in the look that was asked for.
+
+        Raises:
+            OpenGLError: if that is the handsome one, and there is no OpenGL; says what to install.
+        """
+        if self.render_mode is None:
+            gymnasium.logger.warn('render() draws nothing: make the environment with render_mode="rgb_array"')
+            return None
+        if not self._handsome:
+            return self.world.observe()
+        if self._renderer is None:
+            from gym_open.envs.renderer import Renderer
+
+            self._renderer = Renderer(self.world.options, self._render_size)
+        return self._renderer.picture(self.world)
+
+    def close(self) -> None:
+        """Give OpenGL's memory back, on the thread that rendered."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
 
     def snapshot(self) -> EnvSnapshot:
         """All that is needed to go on from here, bit for bit, in another process."""
@@ -100,16 +206,16 @@ class OpenEnv(gymnasium.Env[np.ndarray, np.int64]):
             rng=dict(state),
         )
 
-    def restore(self, snapshot: EnvSnapshot) -> np.ndarray:
+    def restore(self, snapshot: EnvSnapshot) -> Any:
         """Go back to a snapshot and return the observation there."""
-        self._begin(snapshot.puzzle)
+        self._load(snapshot.puzzle)
         self.world.restore_state(np.array(snapshot.world))
         self._steps, self._return, self._hits = snapshot.steps, snapshot.episode_return, snapshot.hits
         self.np_random.bit_generator.state = snapshot.rng
-        return self.world.observe()
+        return self.observe()
 
-    def _begin(self, puzzle: Puzzle) -> None:
-        self.world.load(puzzle, recolour_hits=rewarded(self.task))
+    def _load(self, puzzle: Puzzle) -> None:
+        self.world.load(puzzle, recolour_hits=rewarded(self._judged))
         self._steps, self._return, self._hits = 0, 0.0, 0
 
     def _chosen(self, options: dict[str, Any]) -> Puzzle | None:
@@ -123,3 +229,18 @@ class OpenEnv(gymnasium.Env[np.ndarray, np.int64]):
                 f"reset option 'puzzle': one of task {puzzle.task!r} given to a {self.task!r} environment"
             )
         return puzzle
+
+
+def _check_choice(name: str, value: Any, choices: tuple[Any, ...]) -> None:
+    if value not in choices:
+        raise UsageError(f"{name}: expected one of {', '.join(map(repr, choices))}, got {value!r}")
+
+
+def _observation_space(world: World, mode: ObservationMode) -> spaces.Space[Any]:
+    size, n = world.options.image_size, len(world.inventory)
+    image = spaces.Box(0, 255, (size, size, 3), np.uint8)
+    if mode == "image":
+        return image
+    bound = np.tile(_STATE_BOUND, (n, 1))
+    state = spaces.Box(-bound, bound, dtype=np.float32)
+    return spaces.Dict({"image": image, "object_state": state, "present": spaces.MultiBinary(n)})

@@ -1,0 +1,275 @@
+"""Many puzzles at once over one model: threads, not processes, and no message between them.
+
+A thread takes a few worlds at a time, steps them in one compiled call, and draws them. Which thread takes which is a
+matter of timing; what comes out is not, since no world touches another.
+"""
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space, create_empty_array
+
+from gym_open.envs import constants as c
+from gym_open.envs.env import Look, ObservationMode, OpenEnv
+from gym_open.envs.generators import SandboxConfig
+from gym_open.envs.options import WorldOptions
+from gym_open.envs.puzzles import Task
+from gym_open.envs.stepper import Fleet
+from gym_open.errors import UsageError
+
+_TURNS = 4
+"""Times that a thread comes back for more worlds in a step: more share the work out better, fewer cost less."""
+
+
+class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
+    """N environments, each with its own puzzle, bit for bit as N `OpenEnv` in a `SyncVectorEnv` with the same seeds.
+
+    Infos are in Gymnasium's vector form. `options={"puzzles": [...]}` of `reset` gives each world its own puzzle.
+
+    Args:
+        num_envs: how many.
+        task: as `OpenEnv`'s, and so are the next six arguments.
+        sandbox: see there.
+        world: see there.
+        observation: see there.
+        rewards: see there.
+        render_mode: see there.
+        render_look: see there.
+        render_size: see there.
+        autoreset_mode: what follows the end of an episode, see Gymnasium's `AutoresetMode`.
+        copy: whether what `reset` and `step` return is the caller's to keep. Without it the same arrays are written
+            again in the next step, and nothing is allocated.
+        threads: that step worlds, the caller's among them; None takes as many as this process has cores.
+
+    Raises:
+        UsageError: if an argument is out of its bounds or none of its choices.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        task: Task = "sandbox",
+        *,
+        sandbox: SandboxConfig | None = None,
+        world: WorldOptions | None = None,
+        observation: ObservationMode = "image",
+        rewards: bool = True,
+        render_mode: str | None = None,
+        render_look: Look = "observation",
+        render_size: tuple[int, int] = (640, 480),
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        copy: bool = True,
+        threads: int | None = None,
+    ) -> None:
+        for name, value in (("num_envs", num_envs), ("threads", threads)):
+            if value is not None and value < 1:
+                raise UsageError(f"{name}: expected 1 or more, got {value}")
+        self.num_envs, self.copy, self.render_mode = num_envs, copy, render_mode
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {**OpenEnv.metadata, "autoreset_mode": self.autoreset_mode}
+        self.envs = [
+            OpenEnv(
+                task,
+                sandbox=sandbox,
+                world=world,
+                observation=observation,
+                rewards=rewards,
+                render_mode=render_mode,
+                render_look=render_look,
+                render_size=render_size,
+            )
+            for _ in range(num_envs)
+        ]
+        one = self.envs[0]
+        self.single_observation_space, self.single_action_space = one.observation_space, one.action_space
+        self.observation_space = batch_space(one.observation_space, num_envs)
+        self.action_space = batch_space(one.action_space, num_envs)
+        self._fleet = Fleet([env.world.stepper for env in self.envs], one.world.options.substeps)
+        self._observations: Any = create_empty_array(one.observation_space, num_envs)
+        self._rows = _rows(self._observations, num_envs)
+        self._rewards = np.zeros(num_envs)
+        self._terminations, self._truncations = np.zeros(num_envs, bool), np.zeros(num_envs, bool)
+        self._ended = np.zeros(num_envs, bool)
+        self._actions = np.zeros(num_envs, np.int64)
+        self._infos = _empty_infos(num_envs, len(one.world.inventory))
+        self._last: list[tuple[Any, dict[str, Any]] | None] = [None] * num_envs
+        self._begun = False
+        self._threads = min(threads or _cores(), num_envs)
+        self._pool = ThreadPoolExecutor(self._threads, "world")
+        size = -(-num_envs // (self._threads * _TURNS)) if self._threads > 1 else num_envs
+        self._shares = [(i, min(i + size, num_envs)) for i in range(0, num_envs, size)]
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode in every world.
+
+        Args:
+            seed: of the first world, the others count on from it; or a list of one for each.
+            options: `reset_mask`, (N,) bool: which worlds are reset; `puzzles`: one for each world; others go to each
+                world's own `reset`.
+
+        Raises:
+            ValueError: if there is not one seed, or puzzle, or place in the mask for each world.
+            PuzzleError: if an option is refused.
+        """
+        rest = dict(options or {})
+        mask = np.array(rest.pop("reset_mask", np.ones(self.num_envs, bool)))
+        puzzles = rest.pop("puzzles", None)
+        seeds = _seeds(seed, self.num_envs)
+        for name, given in (("seed", seeds), ("options['puzzles']", puzzles), ("options['reset_mask']", mask)):
+            if given is not None and len(given) != self.num_envs:
+                raise ValueError(f"{name}: expected {self.num_envs}, one for each world, got {len(given)}")
+        if mask.dtype != bool:
+            raise ValueError(f"options['reset_mask']: expected bool, got {mask.dtype}")
+
+        def work(first: int, last: int) -> None:
+            for i in range(first, last):
+                if mask[i]:
+                    self._reset(i, seeds[i], rest if puzzles is None else {**rest, "puzzle": puzzles[i]})
+
+        self._in_threads(work)
+        self._begun = True
+        self._terminations[mask], self._truncations[mask], self._ended[mask] = False, False, False
+        return self._kept(self._observations), self._all_infos(mask)
+
+    def step(self, actions: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Act once in every world, (N,) whole numbers; what became of an ended episode's world says `autoreset_mode`.
+
+        Raises:
+            ValueError: if the actions have another shape, are no whole numbers, or one is none of 0–8.
+            ResetNeeded: before the first `reset`, or if a world has ended that nobody reset.
+        """
+        self._actions[:] = self._checked(actions)
+        if self.autoreset_mode == AutoresetMode.NEXT_STEP:
+            self._actions[self._ended] = -1
+        self._in_threads(self._play)
+        np.logical_or(self._terminations, self._truncations, out=self._ended)
+        infos = self._all_infos(np.ones(self.num_envs, bool))
+        if self.autoreset_mode == AutoresetMode.SAME_STEP:
+            for i in self._ended.nonzero()[0].tolist():
+                observation, info = self._last[i] or (None, {})
+                infos = self._add_info(infos, {"final_obs": observation, "final_info": info}, i)
+            self._ended[:] = False
+        kept = self._kept
+        return kept(self._observations), kept(self._rewards), kept(self._terminations), kept(self._truncations), infos
+
+    def render(self) -> tuple[np.ndarray | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Each world's `render`."""
+        return tuple(env.render() for env in self.envs)
+
+    def close_extras(self, **_: Any) -> None:
+        """End the threads and close the worlds."""
+        self._pool.shutdown()
+        for env in self.envs:
+            env.close()
+
+    def _play(self, first: int, last: int) -> None:
+        """Act in some of the worlds; who has a negative action begins anew instead."""
+        self._fleet.play(first, last, self._actions)
+        for i in range(first, last):
+            if self._actions[i] < 0:
+                self._reset(i, None, {})
+                self._rewards[i], self._terminations[i], self._truncations[i] = 0.0, False, False
+                continue
+            env = self.envs[i]
+            outcome = env.world.stepper.outcome()
+            self._rewards[i], terminated, truncated = env.score(outcome)
+            self._terminations[i], self._truncations[i] = terminated, truncated
+            if (terminated or truncated) and self.autoreset_mode == AutoresetMode.SAME_STEP:
+                self._last[i] = env.observe(), env.info(outcome)
+                self._reset(i, None, {})
+                continue
+            env.observe(self._rows[i])
+            self._note(i, env.puzzle.digest, outcome)
+
+    def _reset(self, i: int, seed: int | None, options: dict[str, Any]) -> None:
+        env = self.envs[i]
+        env.begin(seed, options)
+        env.observe(self._rows[i])
+        self._note(i, env.puzzle.digest, env.world.advance(0))
+        env.world.object_state()  # for the board, which infos are read from
+
+    def _note(self, i: int, digest: str, outcome: Any) -> None:
+        infos = self._infos
+        infos["puzzle_digest"][i] = digest
+        infos["contacts"][i], infos["hits"][i] = outcome.contacts, outcome.hits
+        infos["in_danger"][i] = outcome.in_danger
+
+    def _all_infos(self, mask: np.ndarray) -> dict[str, Any]:
+        self._infos["object_state"][:] = self._fleet.boards["states"]
+        infos: dict[str, Any] = {}
+        for name, values in self._infos.items():
+            infos[name], infos[f"_{name}"] = self._kept(values), mask.copy()
+        return infos
+
+    def _kept(self, values: Any) -> Any:
+        if not self.copy:
+            return values
+        return {name: array.copy() for name, array in values.items()} if isinstance(values, dict) else values.copy()
+
+    def _in_threads(self, work: Callable[[int, int], None]) -> None:
+        """Do the work of all worlds, some at a time, on all threads, and wait for it."""
+        shares = iter(self._shares)
+
+        def run() -> None:
+            for first, last in shares:  # the next one's turn is whoever asks first
+                work(first, last)
+
+        others = [self._pool.submit(run) for _ in range(self._threads - 1)]
+        try:
+            run()
+        finally:
+            for other in others:
+                other.result()
+
+    def _checked(self, actions: np.ndarray) -> np.ndarray:
+        if not self._begun:
+            raise ResetNeeded("the worlds are empty: call reset before step")
+        if self.autoreset_mode == AutoresetMode.DISABLED and self._ended.any():
+            ended = self._ended.nonzero()[0].tolist()
+            raise ResetNeeded(f'worlds {ended} have ended: reset them with options={{"reset_mask": …}} before step')
+        given = np.asarray(actions)
+        if given.shape != (self.num_envs,) or given.dtype.kind not in "iu":
+            raise ValueError(
+                f"actions: expected {self.num_envs} whole numbers, one for each world, got shape {given.shape} of "
+                f"{given.dtype}"
+            )
+        wrong = (given < 0) | (given >= c.N_ACTIONS)
+        if wrong.any():
+            i = int(wrong.argmax())
+            raise ValueError(f"actions: expected 0 to {c.N_ACTIONS - 1}, got {given[i]} for world {i}")
+        return given
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _rows(observations: Any, n: int) -> list[Any]:
+    """Each world's own part of the observations, to be written."""
+    if isinstance(observations, dict):
+        return [{name: array[i] for name, array in observations.items()} for i in range(n)]
+    return list(observations)
+
+
+def _empty_infos(n: int, objects: int) -> dict[str, np.ndarray]:
+    return {
+        "puzzle_digest": np.full(n, None),
+        "object_state": np.zeros((n, objects, 13)),
+        "contacts": np.full(n, None),
+        "hits": np.full(n, None),
+        "in_danger": np.zeros(n, bool),
+    }
+
+
+def _seeds(seed: int | Sequence[int | None] | None, n: int) -> list[int | None]:
+    if seed is None:
+        return [None] * n
+    return list(seed) if isinstance(seed, Sequence) else [int(seed) + i for i in range(n)]
