@@ -40,17 +40,31 @@ def build_release(config: ReleaseConfig, logs: Path, out: Path) -> artefacts.Out
         out: folder of the release.
 
     Raises:
-        ArtefactError: if a log is missing, damaged or empty (naming the file); no release is left behind.
+        ArtefactError: if a log is missing, damaged, empty, or not of free play in the sandbox (naming the file); no
+            release is left behind.
     """
     from gym_open.formats.log_reader import log_files, open_log
 
     def work(folder: Path) -> Mapping[str, Any]:
+        if (kind := artefacts.lineage(logs).kind) != "log":
+            raise ArtefactError(
+                f"{logs}: expected an artefact of kind 'log', got {kind!r}; give one of `gym-open collect`"
+            )
         for item in folder.iterdir():  # what an interrupted build left: begin again
             if item.name != artefacts.SCRATCH:
                 shutil.rmtree(item) if item.is_dir() else item.unlink()
-        return write_release(config, [open_log(path) for path in log_files(logs)], folder)
+        return write_release(config, [_task_free(open_log(path)) for path in log_files(logs)], folder)
 
     return artefacts.build(out, kind="release", config=config, parents=[logs], work=work)
+
+
+def _task_free(log: "Log") -> "Log":
+    """The log, if it was played without a task: what a person played on test puzzles must never train an encoder."""
+    if tasks := {puzzle.task for puzzle in log.puzzles} - {"sandbox"}:
+        raise ArtefactError(
+            f"{log.path}: holds puzzles of {', '.join(sorted(tasks))}; a release is made of play in the sandbox alone"
+        )
+    return log
 
 
 def write_release(config: ReleaseConfig, logs: "Sequence[Log]", folder: Path) -> dict[str, int]:
