@@ -1,7 +1,11 @@
-"""What the physics comes out as: the table of docs/environment.md.
+"""What the physics comes out as, at the world's timestep and at half of it: the table of docs/environment.md.
 
-.venv/bin/python benchmarks/measure_world.py
+.venv/bin/python benchmarks/measure_world.py                  # all but the long play: some minutes
+.venv/bin/python benchmarks/measure_world.py --long 10000     # random play of so many steps in each of 100 layouts
 """
+
+import argparse
+from collections.abc import Callable
 
 import mujoco
 import numpy as np
@@ -9,144 +13,329 @@ from rich.console import Console
 from rich.table import Table
 
 from gym_open.envs import constants as c
-from gym_open.envs import model as m
-from gym_open.envs.generators import sample_puzzle
-from gym_open.envs.puzzles import TASKS, Placement, Puzzle, Task, arranged
+from gym_open.envs.generators import SandboxConfig, sample_puzzle
+from gym_open.envs.options import WorldOptions
+from gym_open.envs.puzzles import SIDES, TASKS, Pen, Placement, Puzzle, Task, arranged
 from gym_open.envs.world import World
+from gym_open.progress import bar
 
-NORTH = 3
-PHASES = np.linspace(0, 1, 24, endpoint=False)
+WORLDS = (WorldOptions(), WorldOptions(timestep_s=c.TIMESTEP_S / 2, substeps=2 * c.SUBSTEPS))
+"""The world v1, and the same at half the timestep."""
+EAST, NORTH = 1, 3
+EVERYTHING = SandboxConfig(
+    heavy=(1, 3), light=(1, 3), push=(1, 2), rectangle=(1, 2), cone=(1, 2), stack=(1, 1), pen_probability=0.2
+)
+KINDS = tuple(kind for kind in c.CAPACITY if kind != "agent")
+_PHASES = np.linspace(0, 1, 24, endpoint=False)
 """Fractions of a substep's way by which a body starts further on: a contact begins between two substeps."""
 
 
-def laid(*objects: tuple) -> World:
-    world = World()
-    world.load(Puzzle("sandbox", arranged([Placement(*item) for item in objects])))
+def laid(options: WorldOptions, *objects: tuple, pen: Pen | None = None) -> World:
+    """A world with these objects (kind, row, column) on its table."""
+    world = World(options)
+    world.load(Puzzle("sandbox", arranged([Placement(*item) for item in objects]), pen=pen))
     return world
 
 
-def state(world: World, name: str) -> np.ndarray:
-    return world.object_state()[m.INVENTORY.index(name)]
+def place(world: World, name: str) -> np.ndarray:
+    """(2,) where an object is: a view."""
+    return world.data.qpos.reshape(-1, 7)[world.inventory.index(name), :2]
 
 
-def launch(world: World, name: str, speed: float, phase: float) -> None:
-    index = m.INVENTORY.index(name)
-    world.data.qvel[6 * index] = speed
-    world.data.qpos[7 * index] += phase * speed * c.TIMESTEP_S
+def speed(world: World, name: str) -> np.ndarray:
+    """(3,) how fast it moves: a view."""
+    return world.data.qvel.reshape(-1, 6)[world.inventory.index(name), :3]
 
 
-def moves() -> str:
+def aside(world: World) -> np.ndarray:
+    """Depths of the last substep's contacts, those with the ground left out."""
+    contact = world.data.contact
+    return -contact.dist[~(contact.geom == world.model.geom("ground").id).any(axis=1)]
+
+
+def move(world: World, action: int, each: Callable[[], None]) -> None:
+    """Take an action as `World.step` does, with a look after every substep."""
+    velocity = world.data.qvel
+    velocity[:2] += c.MOVE_SPEED * np.array(c.MOVES[action])
+    for _ in range(world.options.substeps):
+        mujoco.mj_step(world.model, world.data)
+        each()
+    velocity[:6] = 0, 0, min(velocity[2], 0), 0, 0, 0
+
+
+def spread(values: list[float], unit: str = "", digits: int = 2) -> str:
+    """Mean and range."""
+    return f"{np.mean(values):.{digits}f}{unit} ({min(values):.{digits}f}–{max(values):.{digits}f})"
+
+
+def moves(options: WorldOptions) -> str:
+    """Lengths of the eight moves on a free table."""
     lengths = []
-    for action in range(1, 9):
-        world = laid(("agent", 8, 4))
-        before = state(world, "agent")[:2].copy()
+    for action in range(1, c.N_ACTIONS):
+        world = laid(options, ("agent", 8, 4))
+        before = place(world, "agent").copy()
         world.step(action)
-        way = np.linalg.norm(state(world, "agent")[:2] - before) / c.PITCH
-        lengths.append(way / np.linalg.norm(c.MOVES[action]))
-    return f"{min(lengths):.3f}–{max(lengths):.3f} cells (diagonals ÷ √2)"
+        gone = np.linalg.norm(place(world, "agent") - before) / c.PITCH
+        lengths.append(float(gone / np.linalg.norm(c.MOVES[action])))
+    return spread(lengths, " cells", 3)
 
 
-def push(kind: str) -> str:
+def push(options: WorldOptions, kind: str) -> str:
+    """Way of an object until it rests, after two moves of the agent towards it."""
     gone = []
-    for phase in PHASES:
-        world = laid(("agent", 14, 4), (kind, 12, 4))
-        world.data.qpos[1] += phase * c.MOVE_SPEED * c.TIMESTEP_S
-        start = state(world, f"{kind}_0")[:2].copy()
+    for phase in _PHASES:
+        world = laid(options, ("agent", 14, 4), (kind, 12, 4))
+        place(world, "agent")[1] += phase * c.MOVE_SPEED * options.timestep_s
+        start = place(world, f"{kind}_0").copy()
         for _ in range(2):
             world.step(NORTH)
-        for _ in range(1500):
-            mujoco.mj_step(world.model, world.data)
-        gone.append(np.linalg.norm(state(world, f"{kind}_0")[:2] - start) * 100)
-    return f"{np.mean(gone):.1f} cm ({min(gone):.1f}–{max(gone):.1f})"
+        world.advance(round(8 / options.timestep_s))
+        gone.append(float(np.linalg.norm(place(world, f"{kind}_0") - start)) * 100)
+    return spread(gone, " cm", 1)
 
 
-def restitution(world: World, moving: str, speed: float, phase: float, other: str | None) -> tuple[float, float]:
-    """Speed apart over speed together in x of one collision, and its greatest depth in metres."""
-    launch(world, moving, speed, phase)
-    ground = world.model.geom("ground").id
-    mover, target = m.INVENTORY.index(moving), None if other is None else m.INVENTORY.index(other)
-    before, depth, touched = speed, 0.0, False
-
-    def closing() -> float:
-        return float(world.data.qvel[6 * mover] - (0 if target is None else world.data.qvel[6 * target]))
-
-    for _ in range(500):
-        now = closing()
-        mujoco.mj_step(world.model, world.data)
-        contact = world.data.contact
-        aside = ~(contact.geom == ground).any(axis=1)
-        if aside.any():
-            before, touched = (before, True) if touched else (now, True)
-            depth = max(depth, -float(contact.dist[aside].min()))
-        elif touched:
-            return -closing() / before, depth
-    raise AssertionError("no collision")
-
-
-def bounce(moving: str, other: str | None) -> str:
-    results = []
-    for phase in PHASES:
-        if other is None:
-            kind = m.kind_of(moving)
-            world = laid(("agent", 8, 6)) if kind == "agent" else laid(("agent", 1, 1), (kind, 8, 7))
+def restitution(options: WorldOptions, kind: str, other: str | None) -> str:
+    """Speed apart over speed together of a collision along x, and its greatest depth."""
+    ratios, deepest = [], 0.0
+    start = c.MOVE_SPEED if kind == "agent" else 2.5
+    for phase in _PHASES:
+        if other is not None:
+            world = laid(options, (kind, 8, 3), (other, 8, 5))
+        elif kind == "agent":
+            world = laid(options, (kind, 8, 6))
         else:
-            world = laid(("agent", 8, 3), (m.kind_of(other), 8, 5))
-        results.append(restitution(world, moving, c.MOVE_SPEED if moving == "agent" else 2.5, phase, other))
-    ratios, depths = zip(*results, strict=True)
-    return f"{np.mean(ratios):.2f} ({min(ratios):.2f}–{max(ratios):.2f}), {max(depths) * 100:.1f} cm deep"
+            world = laid(options, ("agent", 1, 1), (kind, 8, 7))
+        name = kind if kind == "agent" else f"{kind}_0"
+        speed(world, name)[0] = start
+        place(world, name)[0] += phase * start * options.timestep_s
+        closing, touched = start, False
+        while True:
+            now = speed(world, name)[0] - (0 if other is None else speed(world, f"{other}_0")[0])
+            mujoco.mj_step(world.model, world.data)
+            depths = aside(world)
+            if depths.size:
+                closing, touched = (closing if touched else now), True
+                deepest = max(deepest, float(depths.max()))
+            elif touched:
+                break
+        ratios.append(-(speed(world, name)[0] - (0 if other is None else speed(world, f"{other}_0")[0])) / closing)
+    return f"{spread(ratios)}, {deepest * 100:.1f} cm deep"
 
 
-def random_play(layouts: int, steps: int) -> str:
-    rng, world = np.random.default_rng(0), World()
-    tasks: tuple[Task, ...] = ("sandbox", *TASKS)
-    deepest, highest, fastest, outside = 0.0, 0.0, 0.0, 0
+def energy(world: World) -> float:
+    """Joules of all objects on the table: of height and of motion."""
+    model, data, total = world.model, world.data, 0.0
+    turn = np.zeros(9)
+    for i in world.present.nonzero()[0]:
+        body = model.body(world.inventory[i])
+        pose, velocity = data.qpos[7 * i : 7 * i + 7], data.qvel[6 * i : 6 * i + 6]
+        mujoco.mju_quat2Mat(turn, pose[3:])
+        frame = turn.reshape(3, 3)
+        middle = velocity[:3] + frame @ np.cross(velocity[3:], body.ipos)
+        height = pose[2] + (frame @ body.ipos)[2]
+        total += body.mass[0] * (9.81 * height + middle @ middle / 2) + velocity[3:] @ (body.inertia * velocity[3:]) / 2
+    return float(total)
+
+
+def energy_made(options: WorldOptions, layouts: int = 50, steps: int = 40) -> str:
+    """By how much energy rises after the push, in random actions that begin with no contact but with the ground.
+
+    A contact is a spring: what it holds when an action begins comes out later, so such actions are left out.
+    """
+    rng, world = np.random.default_rng(0), World(options)
+    rises = []
     for number in range(layouts):
-        world.load(sample_puzzle(tasks[number % len(tasks)], rng))
+        world.load(drawn(number, rng))
         for action in rng.integers(1, c.N_ACTIONS, steps).tolist():
-            world.step(action)
-            states = world.object_state()[world.present]
-            assert np.isfinite(states).all()
-            outside += int((np.abs(states[:, :2]) > (c.WALL_X, c.WALL_Y)).any())
-            deepest = max(deepest, -float(world.data.contact.dist.min(initial=0)))
-            highest = max(highest, float(states[:, 2].max()))
-            fastest = max(fastest, float(np.linalg.norm(states[:, 7:10], axis=1).max()))
-    return (
-        f"{outside} outside, {deepest * 100:.1f} cm deepest, centres up to {highest * 100:.1f} cm high, "
-        f"{fastest:.1f} m/s fastest"
-    )
+            mujoco.mj_fwdPosition(world.model, world.data)
+            free = not aside(world).size
+            found: list[float] = []
+            velocity = world.data.qvel
+            velocity[:2] += c.MOVE_SPEED * np.array(c.MOVES[action])
+            before = energy(world)
+            velocity[:2] -= c.MOVE_SPEED * np.array(c.MOVES[action])
+            move(world, action, lambda found=found: found.append(energy(world)))
+            if free:
+                rises.append(max(found) / before - 1)
+    risen = sum(rise > 1e-3 for rise in rises)
+    return f"{max(rises) * 100:.1f}% at most, over 0.1% in {risen} of {len(rises)} actions"
 
 
-def sparse_against_dense(layouts: int, steps: int) -> str:
-    """Furthest that any object is apart after the same play with MuJoCo's other Jacobian format."""
-    sparse = mujoco.MjModel.from_xml_string(m.model_xml().replace('jacobian="dense"', 'jacobian="sparse"'))
-    rng, apart = np.random.default_rng(1), 0.0
+def drawn(number: int, rng: np.random.Generator) -> Puzzle:
+    """A layout: each task in turn, the sandbox, the sandbox with objects of every kind."""
+    tasks: tuple[Task, ...] = (*TASKS, "sandbox", "sandbox")
+    turn = number % len(tasks)
+    return sample_puzzle(tasks[turn], rng, EVERYTHING if turn == len(tasks) - 1 else SandboxConfig())
+
+
+def tunnelling(options: WorldOptions) -> str:
+    """Deepest overlap when the agent runs at each kind in the eight directions; half its size would be passing."""
+    deepest = dict.fromkeys((*KINDS, "stack"), 0.0)
+    for kind in deepest:
+        for action in range(1, c.N_ACTIONS):
+            x, y = c.MOVES[action]
+            for phase in _PHASES[::2]:
+                world = laid(options, ("agent", 8, 4), (kind, 8 - 2 * y, 4 + 2 * x))
+                place(world, "agent")[:] += phase * c.MOVE_SPEED * options.timestep_s * np.array([x, y])
+                for _ in range(4):
+                    depths = [0.0]
+                    move(world, action, lambda world=world, depths=depths: depths.extend(aside(world)))
+                    deepest[kind] = max(deepest[kind], *depths)
+    return ", ".join(f"{kind} {depth * 100:.1f}" for kind, depth in deepest.items()) + " cm"
+
+
+def flung(options: WorldOptions, kind: str, shots: int = 200) -> str:
+    """Objects thrown at 6 m/s at walls, corners and a pen's walls: how many came through, and how deep they got."""
+    rng, through, deepest = np.random.default_rng(0), 0, 0.0
+    agent = kind == "agent"
+    centre = np.array(c.cell_centre(8, 4))
+    for shot in range(shots):
+        direction = np.array([np.cos(angle := rng.uniform(0, 2 * np.pi)), np.sin(angle)])
+        penned = shot % 2 == 0
+        if agent:
+            world = laid(options, ("agent", 9, 4), pen=Pen(8, 4, "north") if penned else None)
+        else:
+            world = laid(options, ("agent", 1, 1), (kind, 13, 4), pen=Pen(8, 4, "north") if penned else None)
+        world.data.mocap_pos[world.model.body("ramp").mocapid[0]] = 0, -60, 0
+        start = centre
+        if penned and not agent:  # from outside, towards the pen
+            start = centre + (0.46, 0.5) * direction / np.abs(direction).max()
+            direction = -direction
+        name = kind if agent else f"{kind}_0"
+        place(world, name)[:] = start
+        mujoco.mj_forward(world.model, world.data)
+        speed(world, name)[:2] = 6 * direction
+        for _ in range(round((0.1 if penned else 0.25) / options.timestep_s)):
+            mujoco.mj_step(world.model, world.data)
+            deepest = max(deepest, float(aside(world).max(initial=0)))
+        inside = bool((np.abs(place(world, name) - centre) < c.PEN_HALF).all())
+        out = bool((np.abs(place(world, name)) > (c.WALL_X, c.WALL_Y)).any())
+        through += inside != agent if penned else out
+    return f"{through} of {shots} through, {deepest * 100:.1f} cm deep"
+
+
+def outside(world: World) -> bool:
+    """Whether the agent is out of the pen."""
+    assert world.puzzle.pen is not None
+    centre = c.cell_centre(world.puzzle.pen.row, world.puzzle.pen.column)
+    return bool((np.abs(place(world, "agent") - centre) > c.PEN_HALF).any())
+
+
+def walk_up(world: World) -> bool:
+    """Go to the ramp's foot and up; whether that leads out of the pen."""
+    assert world.puzzle.pen is not None
+    row, column = SIDES[world.puzzle.pen.ramp_side]
+    up = np.array([column, -row])
+    foot = np.array(c.cell_centre(world.puzzle.pen.row, world.puzzle.pen.column)) - up * c.PITCH
+    for _ in range(4):  # back to the row of the foot, then along it
+        away = np.rint((foot - place(world, "agent")) / c.PITCH).astype(int)
+        along = int(away @ up)
+        direction = np.sign(along) * up if along else np.sign(away)
+        world.step(c.MOVES.index((int(direction[0]), int(direction[1]))))
+    for _ in range(6):
+        world.step(c.MOVES.index((column, -row)))
+        if outside(world):
+            return True
+    return False
+
+
+def pen(options: WorldOptions, pens: int = 200) -> list[str]:
+    """How often the pen is left: without a ramp, by random play with it, and by walking up it."""
+    rng, world = np.random.default_rng(0), World(options)
+    runs = [action for action in (1, 2, 3, 4, 5, 6, 7, 8, 2, 6, 4, 8) for _ in range(6)]
+    left = [0, 0, 0]
+    for _ in range(pens):
+        puzzle = sample_puzzle("tool-use", rng)
+        for which in range(2):
+            world.load(puzzle)
+            actions = rng.integers(1, c.N_ACTIONS, 200).tolist()
+            if which == 0:
+                world.data.mocap_pos[world.model.body("ramp").mocapid[0]] = 0, -60, 0
+                actions += runs
+            for action in actions:
+                world.step(action)
+                if outside(world):
+                    left[which] += 1
+                    break
+        world.load(puzzle)
+        left[2] += walk_up(world)
+    return [f"{count} of {pens}" for count in left]
+
+
+def apart(layouts: int = 200, steps: int = 5) -> str:
+    """How far objects are from where half the timestep has them, after some random actions."""
+    rng, worlds = np.random.default_rng(1), [World(options) for options in WORLDS]
+    found: list[float] = []
     for number in range(layouts):
-        puzzle = sample_puzzle(TASKS[number % len(TASKS)], rng)
-        worlds = World(), World()
-        worlds[1].model = sparse
+        puzzle, actions = drawn(number, rng), rng.integers(1, c.N_ACTIONS, steps).tolist()
         for world in worlds:
             world.load(puzzle)
-        for action in rng.integers(1, c.N_ACTIONS, steps).tolist():
-            states = []
+        start = worlds[0].object_state()[:, :2]
+        for action in actions:
             for world in worlds:
                 world.step(action)
-                states.append(world.object_state()[world.present, :3])
-            apart = max(apart, float(np.abs(states[0] - states[1]).max()))
-    return f"{apart * 1000:.2g} mm"
+        one, other = (world.object_state()[:, :2] for world in worlds)
+        moved = np.linalg.norm(one - start, axis=1) > 0.01
+        found += np.linalg.norm(one - other, axis=1)[moved].tolist()
+    median, most = np.quantile(found, (0.5, 0.9)) * 100
+    return f"median {median:.1f} cm, 90% within {most:.1f} cm"
+
+
+def long_play(options: WorldOptions, layouts: int, steps: int) -> dict[str, float]:
+    """Extremes of random play; raises if anything leaves the table or is not finite."""
+    rng, world = np.random.default_rng(0), World(options)
+    worst = dict.fromkeys(("deepest, cm", "highest agent, cm", "highest other, cm", "fastest, m/s"), 0.0)
+    outside = 0
+    with bar(f"{options.timestep_s} s", layouts * steps) as progress:
+        for number in range(layouts):
+            world.load(drawn(number, rng))
+            objects = world.present.nonzero()[0]
+            for action in rng.integers(1, c.N_ACTIONS, steps).tolist():
+                world.step(action)
+                places = world.data.qpos.reshape(-1, 7)[objects, :3]
+                speeds = world.data.qvel.reshape(-1, 6)[objects, :3]
+                assert np.isfinite(places).all()
+                assert np.isfinite(speeds).all()
+                outside += bool((np.abs(places[:, :2]) > (c.WALL_X, c.WALL_Y)).any())
+                now = (
+                    -100 * world.data.contact.dist.min(initial=0),
+                    100 * places[0, 2],
+                    100 * places[1:, 2].max(initial=0),
+                    np.sqrt((speeds**2).sum(axis=1).max()),
+                )
+                for key, value in zip(worst, now, strict=True):
+                    worst[key] = max(worst[key], float(value))
+            progress.advance(steps)
+    return {"outside": outside, **worst}
 
 
 def main() -> None:
-    table = Table("what", "measured")
-    table.add_row("one move", moves())
-    for kind in ("light", "heavy", "yellow"):
-        table.add_row(f"agent's push of one {kind}, way until rest", push(kind))
-    for kind in ("light_0", "heavy_0", "yellow_0"):
-        table.add_row(f"restitution agent – {kind}", bounce("agent", kind))
-    for moving in ("agent", "light_0", "yellow_0"):
-        table.add_row(f"restitution {moving} – wall", bounce(moving, None))
-    table.add_row("random play, 100 layouts × 100 steps", random_play(100, 100))
-    table.add_row("sparse against dense Jacobian, 20 layouts × 20 steps", sparse_against_dense(20, 20))
-    Console().print(table)
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--long", type=int, metavar="STEPS")
+    arguments = parser.parse_args()
+    table = Table("what", *(f"{options.timestep_s} s × {options.substeps}" for options in WORLDS))
+    if arguments.long:
+        results = [long_play(options, 100, arguments.long) for options in WORLDS]
+        for key in results[0]:
+            table.add_row(key, *(f"{result[key]:.1f}" for result in results))
+        Console().print(table)
+        return
+    table.add_row("one move", *map(moves, WORLDS))
+    for kind in KINDS:
+        table.add_row(f"way of a {kind} after two moves at it", *(push(options, kind) for options in WORLDS))
+    for kind in KINDS:
+        table.add_row(f"restitution, agent – {kind}", *(restitution(options, "agent", kind) for options in WORLDS))
+    for kind in ("agent", *KINDS):
+        table.add_row(f"restitution, {kind} – wall", *(restitution(options, kind, None) for options in WORLDS))
+    table.add_row("energy made", *map(energy_made, WORLDS))
+    table.add_row("deepest overlap with the agent", *map(tunnelling, WORLDS))
+    for kind in ("agent", *KINDS):
+        table.add_row(f"{kind} thrown at walls at 6 m/s", *(flung(options, kind) for options in WORLDS))
+    names = "pen left without ramp", "in 200 random steps with it", "by walking up it"
+    for name, *values in zip(names, *map(pen, WORLDS), strict=True):
+        table.add_row(name, *values)
+    table.add_row("apart after 5 actions", "", apart())
+    Console(width=200).print(table)
 
 
 if __name__ == "__main__":
