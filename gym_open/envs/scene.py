@@ -28,6 +28,8 @@ from gym_open.envs.raycast import (
 _GEOM = mujoco.mjtGeom
 _FORMS = {int(_GEOM.mjGEOM_SPHERE): SPHERE, int(_GEOM.mjGEOM_BOX): BOX, int(_GEOM.mjGEOM_MESH): MESH}
 _UNSEEN_GROUP = 3
+_SMOOTH = 0.8
+"""Cosine between a triangle and the mesh's normal at its corner beyond which the mesh is round there."""
 _STILL_POSE = np.array([0, 0, 0, 1, 0, 0, 0], float)
 
 
@@ -229,8 +231,18 @@ def _triangles(model: mujoco.MjModel) -> tuple[Triangles, dict[int, tuple[int, i
     for mesh in range(model.nmesh):
         first, number = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
         faces = slice(first, first + number)
-        corners.append(model.mesh_vert[model.mesh_vertadr[mesh] + model.mesh_face[faces]].astype(float))
-        normals.append(model.mesh_normal[model.mesh_normaladr[mesh] + model.mesh_facenormal[faces]].astype(float))
+        corner = model.mesh_vert[model.mesh_vertadr[mesh] + model.mesh_face[faces]].astype(float)
+        corners.append(corner)
+        smooth = model.mesh_normal[model.mesh_normaladr[mesh] + model.mesh_facenormal[faces]].astype(float)
+        normals.append(_creased(corner, smooth))
         ranges[mesh] = (count, count + number)
         count += number
     return Triangles(np.concatenate(corners), np.concatenate(normals)), ranges
+
+
+def _creased(corner: np.ndarray, smooth: np.ndarray) -> np.ndarray:
+    """Normals (T, 3, 3) at triangles' corners: the smooth ones, but the triangle's own at an edge, as MuJoCo draws."""
+    flat = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    flat /= np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-30)
+    flat = np.broadcast_to(flat[:, None], smooth.shape)
+    return np.where((flat * smooth).sum(axis=2, keepdims=True) > _SMOOTH, smooth, flat)
