@@ -83,7 +83,7 @@ def test_the_interval_is_that_of_the_puzzles_own_values() -> None:
 
 @pytest.mark.parametrize("task", TASKS)
 def test_the_oracle_earns_everything_in_all_puzzles_of_a_split(task: Task, tmp_path: Path) -> None:
-    config = EvaluateConfig(task=task, split="validation")
+    config = EvaluateConfig(task=task, split="validation")  # pyright: ignore[reportArgumentType]
     made = evaluate(config, None, tmp_path / "scores", oracle=True)
     record = msgspec.json.decode((made.path / "scores.json").read_bytes())
     assert (record["agent"], record["task"], record["split"]) == ("oracle", task, "validation")
