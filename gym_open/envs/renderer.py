@@ -11,6 +11,7 @@ import numpy as np
 
 from gym_open.envs.gl import open_renderer
 from gym_open.envs.model import model_xml
+from gym_open.envs.options import WorldOptions
 from gym_open.envs.world import World
 
 View = Literal["people", "observation"]
@@ -20,9 +21,9 @@ Size = tuple[int, int]
 """Width and height in pixels."""
 
 _PEOPLE_POSITION = (-0.9, -2.7, 2.7)
-_PEOPLE_AIM = (-0.0, -0.12, 0.0)
-_PEOPLE_FIELD_OF_VIEW = 33.0
-_SHADOWED = 2.6
+_PEOPLE_AIM = (0.042, -0.301, 0.0)
+_PEOPLE_FIELD_OF_VIEW = 31.0
+_SHADOWED = 2.2
 """Half edge in metres of the square around the table's middle in which there are shadows."""
 _MATERIALS = {
     # name: gloss (specular), sharpness of the gloss (shininess), mirror (reflectance), texture, its repeats
@@ -35,14 +36,14 @@ _MATERIALS = {
 
 
 class Renderer:
-    """Pictures of worlds with the options of `like`. Use and close it on one thread; it is its own context manager.
+    """Pictures of worlds with these options. Use and close it on one thread; it is its own context manager.
 
     Raises:
         OpenGLError: if there is no OpenGL here; says what to install.
     """
 
-    def __init__(self, like: World, size: Size = (512, 512), view: View = "people") -> None:
-        self._model = handsome_model(model_xml(like.options), size)
+    def __init__(self, options: WorldOptions, size: Size = (512, 512), view: View = "people") -> None:
+        self._model = handsome_model(model_xml(options), size)
         self._data = mujoco.MjData(self._model)
         self._view = view
         self._movers = [i for i in range(self._model.ngeom) if self._model.body_dofnum[self._model.geom_bodyid[i]]]
@@ -78,7 +79,7 @@ def handsome_model(xml: str, size: Size) -> mujoco.MjModel:
     spec = mujoco.MjSpec.from_string(xml)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = size
     spec.visual.quality.offsamples = 8
-    spec.visual.quality.shadowsize = 8192
+    spec.visual.quality.shadowsize = 4096
     spec.visual.map.shadowclip = _SHADOWED / spec.stat.extent
     spec.visual.quality.numslices, spec.visual.quality.numstacks = 64, 48
     _add_materials(spec)
