@@ -38,6 +38,8 @@ class EnvSnapshot(msgspec.Struct, frozen=True):
     """Goals hit in this episode."""
     rng: dict[str, Any]
     """State of the generator that draws puzzles."""
+    terminated: bool = False
+    truncated: bool = False
 
 
 class OpenEnv(gymnasium.Env[Any, np.int64]):
@@ -107,9 +109,7 @@ class OpenEnv(gymnasium.Env[Any, np.int64]):
         self._handsome = render_look == "handsome"
         self._render_size = render_size
         self._renderer: Any = None
-        self._steps = 0
-        self._return = 0.0
-        self._hits = 0
+        self._begin_count()
 
     @property
     def puzzle(self) -> Puzzle:
@@ -128,6 +128,8 @@ class OpenEnv(gymnasium.Env[Any, np.int64]):
     def step(self, action: np.int64 | int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Take one action: 0 nothing, 1–8 a move of one cell (1 is +x, then counter-clockwise).
 
+        After an episode's end the world goes on; nothing is paid any more, and the episode stays ended.
+
         Raises:
             TypeError: if the action is no whole number.
             ValueError: if it is none of 0–8.
@@ -141,13 +143,16 @@ class OpenEnv(gymnasium.Env[Any, np.int64]):
         self._load(self._chosen(options) or sample_puzzle(self.task, self.np_random, self._sandbox))
 
     def score(self, outcome: StepOutcome) -> tuple[float, bool, bool]:
-        """Count a step that was taken: its reward, and whether it terminated or truncated the episode."""
+        """Count a step that was taken: its reward, and whether the episode is terminated or truncated."""
+        if self._terminated or self._truncated:
+            return 0.0, self._terminated, self._truncated
         verdict = judge(self._judged, self.puzzle, self._hits, outcome)
         self._steps += 1
         self._hits += len(outcome.hits)
         self._return += verdict.reward
         out_of_budget = rewarded(self._judged) and self._steps >= step_budget(self._judged)
-        return verdict.reward, verdict.terminated, out_of_budget and not verdict.terminated
+        self._terminated, self._truncated = verdict.terminated, out_of_budget and not verdict.terminated
+        return verdict.reward, self._terminated, self._truncated
 
     def observe(self, out: Any = None) -> Any:
         """The observation of the present: in arrays of its own, or written into those of `out`."""
@@ -204,6 +209,8 @@ class OpenEnv(gymnasium.Env[Any, np.int64]):
             episode_return=self._return,
             hits=self._hits,
             rng=dict(state),
+            terminated=self._terminated,
+            truncated=self._truncated,
         )
 
     def restore(self, snapshot: EnvSnapshot) -> Any:
@@ -211,12 +218,17 @@ class OpenEnv(gymnasium.Env[Any, np.int64]):
         self._load(snapshot.puzzle)
         self.world.restore_state(np.array(snapshot.world))
         self._steps, self._return, self._hits = snapshot.steps, snapshot.episode_return, snapshot.hits
+        self._terminated, self._truncated = snapshot.terminated, snapshot.truncated
         self.np_random.bit_generator.state = snapshot.rng
         return self.observe()
 
     def _load(self, puzzle: Puzzle) -> None:
         self.world.load(puzzle, recolour_hits=rewarded(self._judged))
+        self._begin_count()
+
+    def _begin_count(self) -> None:
         self._steps, self._return, self._hits = 0, 0.0, 0
+        self._terminated = self._truncated = False
 
     def _chosen(self, options: dict[str, Any]) -> Puzzle | None:
         if unknown := set(options) - {"puzzle"}:

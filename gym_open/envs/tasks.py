@@ -54,5 +54,5 @@ def judge(task: Task, puzzle: Puzzle, already_hit: int, outcome: StepOutcome) ->
     if task == "avoidance" and outcome.in_danger:
         return Verdict(0.0, terminated=True)
     goals = sum(item.kind in GOALS for item in puzzle.objects)
-    reward = sum(PAY[task].get(kind_of(name), 0.0) for name in outcome.hits)
+    reward = sum((PAY[task].get(kind_of(name), 0.0) for name in outcome.hits), 0.0)
     return Verdict(reward, terminated=already_hit + len(outcome.hits) == goals)

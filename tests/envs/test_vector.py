@@ -6,6 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
+from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import gym_open
@@ -21,20 +22,7 @@ N = 5
 
 def assert_same(ours: Any, theirs: Any) -> None:
     """Equal to the last bit, and of the same types."""
-    assert type(ours) is type(theirs)
-    if isinstance(ours, dict):
-        assert ours.keys() == theirs.keys()
-        for key, value in ours.items():
-            assert_same(value, theirs[key])
-    elif isinstance(ours, tuple) or (isinstance(ours, np.ndarray) and ours.dtype == object):
-        assert len(ours) == len(theirs)
-        for one, other in zip(ours, theirs, strict=True):
-            assert_same(one, other)
-    elif isinstance(ours, np.ndarray):
-        assert ours.dtype == theirs.dtype
-        np.testing.assert_array_equal(ours, theirs)
-    else:
-        assert ours == theirs
+    assert data_equivalence(ours, theirs, exact=True)
 
 
 def towards_a_goal(env: OpenEnv) -> int:
