@@ -1,26 +1,25 @@
-"""The contract of the five Gymnasium ids, the rewards of each task by scripted play, and snapshots."""
+"""Rewards of each task by scripted play, what is told and shown, and options. What all tasks share: test_contract."""
 
 import subprocess
 import sys
 from typing import Any
 
 import gymnasium
-import msgspec
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.seeding import np_random
 
 import gym_open
 from gym_open.envs import constants as c
-from gym_open.envs.env import EnvSnapshot, OpenEnv
+from gym_open.envs.env import OpenEnv
 from gym_open.envs.generators import SandboxConfig, sample_puzzle
-from gym_open.envs.puzzle_sets import reserved_digests
+from gym_open.envs.gl import OpenGLError, find_backend
+from gym_open.envs.options import ObjectOptions, WorldOptions
 from gym_open.envs.puzzle_sets import test_puzzles as fixed_puzzles
 from gym_open.envs.puzzles import TASKS, Patch, Pen, Placement, Puzzle, PuzzleError, Task, arranged
 from gym_open.envs.tasks import step_budget
+from gym_open.errors import UsageError
 
-ALL_TASKS: tuple[Task, ...] = ("sandbox", *TASKS)
 EAST, NORTH, WEST, SOUTH = 1, 3, 5, 7
 
 
@@ -50,54 +49,13 @@ def test_importing_registers_the_ids_and_loads_no_engine() -> None:
     assert done.stdout.strip() == "[]"
 
 
-@pytest.mark.parametrize("task", ALL_TASKS)
-def test_gymnasiums_checker_finds_nothing(task: Task) -> None:
-    check_env(made(task))
-    check_env(made(task, render_mode="rgb_array"))
-
-
-@pytest.mark.parametrize("task", ALL_TASKS)
-def test_same_seed_same_episode(task: Task) -> None:
-    rng = np.random.default_rng(0)
-    actions = rng.integers(0, 9, 60).tolist()
-    runs = []
-    for _ in range(2):
-        env = made(task)
-        image, info = env.reset(seed=11)
-        steps = [(image, 0.0, False, False, info)]
-        for action in actions:
-            steps.append(env.step(action))
-            if steps[-1][2] or steps[-1][3]:
-                image, info = env.reset()
-                steps.append((image, 0.0, False, False, info))
-        runs.append(steps)
-    for one, other in zip(*runs, strict=True):
-        np.testing.assert_array_equal(one[0], other[0])
-        assert one[1:] == other[1:]
-        assert one[0].shape == (84, 84, 3)
-        assert one[0].dtype == np.uint8
-        assert np.isfinite(one[1])
-
-
-@pytest.mark.parametrize("task", ALL_TASKS)
-def test_resets_draw_new_training_puzzles(task: Task) -> None:
-    env = made(task)
-    digests = [env.reset(seed=1)[1]["puzzle_digest"], *(env.reset()[1]["puzzle_digest"] for _ in range(10))]
-    assert len(set(digests)) == 11
-    assert reserved_digests().isdisjoint(digests)
-    assert env.reset(seed=1)[1]["puzzle_digest"] == digests[0]
-    assert env.reset(seed=2)[1]["puzzle_digest"] not in digests
-    assert env.puzzle.task == task
-
-
-@pytest.mark.parametrize("task", TASKS)
-def test_truncation_is_at_the_budget_and_is_no_termination(task: Task) -> None:
-    env = made(task)
-    start = fixed_puzzles(task)[0]
-    steps = play(env, start, *[0] * step_budget(task))
-    assert step_budget(task) == (200 if task == "tool-use" else 100)
-    assert steps[-1] == (0.0, False, True)
-    assert not any(terminated or truncated for _, terminated, truncated in steps[:-1])
+def test_budgets_are_the_papers() -> None:
+    assert {task: step_budget(task) for task in TASKS} == {
+        "goal-seeking": 100,
+        "preferences": 100,
+        "avoidance": 100,
+        "tool-use": 200,
+    }
 
 
 def test_the_sandbox_pays_nothing_and_never_ends() -> None:
@@ -151,33 +109,96 @@ def test_danger_ends_the_episode_unpaid_even_with_a_hit_in_the_same_step() -> No
     assert (reward, terminated, truncated) == (0.0, True, False)
 
 
-def test_info_names_the_hits() -> None:
+def test_info_tells_what_happened() -> None:
     env = made("goal-seeking")
-    env.reset(seed=0, options={"puzzle": puzzle("goal-seeking", ("agent", 8, 3), ("yellow", 8, 4))})
+    start = puzzle("goal-seeking", ("agent", 8, 3), ("yellow", 8, 4), patch=Patch(8, 4))
+    _, first = env.reset(seed=0, options={"puzzle": start})
+    assert (first["hits"], first["contacts"], first["in_danger"]) == ((), (), True)
     info = env.step(EAST)[4]
     assert info["hits"] == ("yellow_0",)
-    assert info["puzzle_digest"] == env.puzzle.digest
+    assert [{contact.a, contact.b} for contact in info["contacts"]] == [{"agent", "yellow_0"}]
+    assert info["puzzle_digest"] == env.puzzle.digest == first["puzzle_digest"]
+    rows = dict(zip(env.world.inventory, info["object_state"], strict=True))
+    assert rows["yellow_0"][0] > rows["agent"][0] > first["object_state"][0, 0]
+    assert rows["yellow_0"][7] > 0 == rows["agent"][7]
 
 
-@pytest.mark.parametrize("task", ALL_TASKS)
-def test_a_snapshot_goes_on_bit_for_bit_through_json(task: Task) -> None:
-    rng = np.random.default_rng(3)
-    env, other = made(task), made(task)
-    env.reset(seed=4)
-    for action in rng.integers(0, 9, 7).tolist():
-        env.step(action)
-    snapshot = msgspec.json.decode(msgspec.json.encode(env.snapshot()), type=EnvSnapshot)
-    image = env.world.observe()
-    actions = rng.integers(0, 9, 30).tolist()
-    first = [env.step(action) for action in actions]
-    after = [env.reset()[1]["puzzle_digest"] for _ in range(3)]
-    other.reset(seed=99)
-    np.testing.assert_array_equal(other.restore(snapshot), image)
-    for action, step in zip(actions, first, strict=True):
-        again = other.step(action)
-        np.testing.assert_array_equal(again[0], step[0])
-        assert again[1:] == step[1:]
-    assert [other.reset()[1]["puzzle_digest"] for _ in range(3)] == after
+def test_a_dictionary_observation_shows_only_what_is_there() -> None:
+    env = made("goal-seeking", observation="dict")
+    start = puzzle("goal-seeking", ("agent", 8, 3), ("yellow", 2, 4), ("light", 5, 5))
+    seen, info = env.reset(seed=0, options={"puzzle": start})
+    there = [name in {"agent", "yellow_0", "light_0"} for name in env.world.inventory]
+    np.testing.assert_array_equal(seen["present"], there)
+    assert not seen["object_state"][~np.array(there)].any()
+    np.testing.assert_allclose(seen["object_state"][there], info["object_state"][there], rtol=1e-6)
+    np.testing.assert_array_equal(seen["image"], env.world.observe())
+    np.testing.assert_allclose(seen["object_state"][0, :2], c.cell_centre(8, 3), rtol=1e-6)
+    env.world.data.qvel[:3] = 1e9, -1e9, 0  # beyond anything that happens
+    assert env.observe() in env.observation_space
+
+
+def test_without_rewards_nothing_is_paid_nothing_ends_and_goals_keep_their_colour() -> None:
+    env, rewarded = made("goal-seeking", rewards=False), made("goal-seeking")
+    start = puzzle("goal-seeking", ("agent", 12, 4), ("yellow", 10, 4), ("light", 1, 1))
+    steps = play(env, start, *[NORTH] * 3, *[0] * 120)
+    assert set(steps) == {(0.0, False, False)}
+    play(rewarded, start, *[NORTH] * 3)
+    changed = (env.world.observe() != rewarded.world.observe()).any(axis=2)
+    np.testing.assert_array_equal(env.world.data.qpos, rewarded.world.data.qpos)
+    goal = env.world.model.geom("yellow_0").id
+    np.testing.assert_array_equal(changed, env.world.segmentation() == goal)
+    assert env.reset(seed=1)[1]["puzzle_digest"] == rewarded.reset(seed=1)[1]["puzzle_digest"]
+
+
+def test_options_of_the_world_reach_it() -> None:
+    options = WorldOptions(image_size=32, objects={"light": ObjectOptions(mass=50)}, substeps=5)
+    env = made("goal-seeking", world=options)
+    image, _ = env.reset(seed=0)
+    assert image.shape == (32, 32, 3)
+    assert image in env.observation_space
+    assert env.world.model.body("light_0").mass[0] == 50
+    env.step(EAST)
+    assert env.world.data.time == pytest.approx(5 * c.TIMESTEP_S)
+
+
+def test_render_is_the_observation_or_a_handsome_picture() -> None:
+    env = made("preferences", render_mode="rgb_array")
+    image, _ = env.reset(seed=0)
+    np.testing.assert_array_equal(env.render(), image)
+    env = made("preferences")
+    env.reset(seed=0)
+    with pytest.warns(UserWarning, match="render_mode"):
+        assert env.render() is None
+
+
+def test_the_handsome_picture_needs_opengl() -> None:
+    env = made("preferences", render_mode="rgb_array", render_look="handsome", render_size=(160, 120))
+    env.reset(seed=0)
+    if find_backend() is None:
+        with pytest.raises(OpenGLError, match="apt-get install"):
+            env.render()
+        return
+    first = env.render()
+    assert isinstance(first, np.ndarray)
+    assert (first.shape, first.dtype) == ((120, 160, 3), np.uint8)
+    env.step(EAST)
+    assert (env.render() != first).any()
+    env.close()
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"task": "maze"}, "task: expected one of 'sandbox', .*, got 'maze'"),
+        ({"observation": "state"}, "observation: expected one of 'image', 'dict', got 'state'"),
+        ({"render_mode": "human"}, "render_mode: expected one of None, 'rgb_array', got 'human'"),
+        ({"render_look": "pretty"}, "render_look: expected one of 'observation', 'handsome', got 'pretty'"),
+    ],
+)
+def test_wrong_arguments_are_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        OpenEnv(**options)
 
 
 def test_a_snapshot_keeps_the_steps_left_and_the_return() -> None:
@@ -214,12 +235,3 @@ def test_sandbox_configuration_reaches_the_draws() -> None:
 
 def made_generator(seed: int) -> np.random.Generator:
     return np_random(seed)[0]
-
-
-def test_vector_of_environments() -> None:
-    vector = gymnasium.make_vec(gym_open.ENV_IDS["goal-seeking"], num_envs=3, vectorization_mode="sync")
-    images, _ = vector.reset(seed=0)
-    assert images.shape == (3, 84, 84, 3)
-    assert len({image.tobytes() for image in images}) == 3
-    vector.step(np.array([1, 2, 3]))
-    vector.close()
