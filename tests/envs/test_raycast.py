@@ -10,13 +10,12 @@ from numba.core import config as numba_config
 
 from gym_open.envs import constants as c
 from gym_open.envs import jit
+from gym_open.envs.model import fixed_model
 from gym_open.envs.puzzle_sets import test_puzzles as fixed_puzzles
 from gym_open.envs.puzzles import SIDES, Patch, Pen, Placement, Puzzle, arranged
-from gym_open.envs.model import fixed_model
 from gym_open.envs.raycast import BOX, SPHERE, Camera, Shapes, Triangles, empty_picture, paint, rotations
 from gym_open.envs.scene import model_camera
 from gym_open.envs.world import World
-
 
 NO_TRIANGLES = Triangles(np.zeros((0, 3, 3)), np.zeros((0, 3, 3)))
 

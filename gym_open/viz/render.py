@@ -1,0 +1,261 @@
+"""Contact sheets of puzzles and videos of episodes, in either look; each file appears whole or not at all."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from gym_open import artefacts, progress
+from gym_open.envs import constants as c
+from gym_open.envs.options import WorldOptions
+from gym_open.envs.puzzles import Puzzle
+from gym_open.envs.tasks import judge, rewarded, step_budget
+from gym_open.envs.world import World
+from gym_open.errors import ArtefactError, UsageError
+
+Look = Literal["handsome", "observation"]
+"""`handsome` needs OpenGL; `observation` is what an agent sees, its pixels enlarged."""
+Painter = Callable[[World], np.ndarray]
+
+DIRECTIONS = (
+    "• no move", "→ east", "↗ north-east", "↑ north", "↖ north-west",
+    "← west", "↙ south-west", "↓ south", "↘ south-east",
+)  # fmt: skip
+"""What each action is called in a caption; north is away from the camera."""
+
+
+class Moment(NamedTuple):
+    """What a caption says."""
+
+    step: int
+    """0 before the first."""
+    action: int
+    reward: float
+    total: float
+    """Rewards so far."""
+
+
+_PAPER, _INK, _FAINT = (250, 250, 248), (25, 25, 25), (110, 110, 110)
+_HELD_S = 0.8
+"""Seconds for which a video holds its first and last picture."""
+
+
+def contact_sheet(
+    puzzles: Mapping[str, Puzzle],
+    out: Path,
+    *,
+    look: Look = "handsome",
+    size: int = 192,
+    columns: int = 10,
+    options: WorldOptions | None = None,
+) -> Path:
+    """Draw puzzles as they begin, side by side, each over its name, as a PNG.
+
+    Args:
+        puzzles: by name, in the order of the sheet.
+        out: the picture's file.
+        look: which look.
+        size: edge of one picture in pixels.
+        columns: pictures in a row.
+        options: of the world; None for v1.
+
+    Raises:
+        UsageError: if there is no puzzle, or `out` is not a PNG.
+        OpenGLError: if the look needs OpenGL and there is none.
+    """
+    _check_suffix(out, (".png",))
+    if not puzzles:
+        raise UsageError("a contact sheet needs at least one puzzle, got none")
+    columns = min(columns, len(puzzles))
+    rows = -(-len(puzzles) // columns)
+    gap, font = max(2, size // 24), _font(max(9, size // 13))
+    label = round(1.6 * font.size)
+    sheet = Image.new("RGB", (columns * (size + gap) + gap, rows * (size + label + gap) + gap), _PAPER)
+    draw = ImageDraw.Draw(sheet)
+    world = World(options)
+    with _painter(world, look, size) as paint, progress.bar("sheet", len(puzzles)) as bar:
+        for i, (name, puzzle) in enumerate(puzzles.items()):
+            world.load(puzzle, recolour_hits=rewarded(puzzle.task))
+            left, top = gap + i % columns * (size + gap), gap + i // columns * (size + label + gap)
+            sheet.paste(Image.fromarray(paint(world)), (left, top))
+            draw.text((left + size / 2, top + size + label / 2), name, fill=_INK, font=font, anchor="mm")
+            bar.advance()
+    return _whole(out, lambda beside: sheet.save(beside, format="PNG"))
+
+
+def episode_video(
+    puzzle: Puzzle,
+    actions: Sequence[int],
+    out: Path,
+    *,
+    name: str = "",
+    look: Look = "handsome",
+    size: int = 512,
+    fps: int = 30,
+    frames_per_step: int = 5,
+    options: WorldOptions | None = None,
+) -> Path:
+    """Play the actions and film it, as MP4 (H.264) or GIF by the suffix; under it step, action, reward and return.
+
+    Things are filmed between steps as well, `frames_per_step` times a step of 0.04 s, so that they are seen to move.
+    The film ends with the episode, or with the actions.
+
+    Args:
+        puzzle: where.
+        actions: 0–8 each.
+        out: the film's file.
+        name: what the caption calls the puzzle; its task if empty.
+        look: which look.
+        size: width of the film in pixels; the caption comes below a square picture.
+        fps: pictures a second; a GIF can show at most 50.
+        frames_per_step: pictures a step, which must divide the substeps of a step.
+        options: of the world; None for v1.
+
+    Raises:
+        UsageError: if the suffix is another one, or `frames_per_step` does not divide the substeps.
+        OpenGLError: if the look needs OpenGL and there is none.
+    """
+    _check_suffix(out, (".mp4", ".gif"))
+    world = World(options)
+    if world.options.substeps % frames_per_step:
+        raise UsageError(f"frames_per_step: {frames_per_step} does not divide the {world.options.substeps} substeps")
+    title, held = name or puzzle.task, round(_HELD_S * fps)
+    with _painter(world, look, size) as paint, progress.bar("film", len(actions)) as bar:
+
+        def frames() -> Iterator[np.ndarray]:
+            frame = np.zeros(0)
+            for i, (shown, moment) in enumerate(_moments(world, puzzle, actions, frames_per_step)):
+                frame = _captioned(paint(shown), title, moment)
+                yield from [frame] * (held if i == 0 else 1)
+                bar.advance(i > 0 and i % frames_per_step == 0)
+            yield from [frame] * held
+
+        write = _write_mp4 if out.suffix == ".mp4" else _write_gif
+        return _whole(out, lambda beside: write(beside, frames(), fps))
+
+
+def random_actions(puzzle: Puzzle, rng: np.random.Generator, steps: int | None = None) -> list[int]:
+    """Uniformly random actions, as the random agent draws them; as many as the task's budget if `steps` is None.
+
+    Raises:
+        PuzzleError: if `steps` is None and the task has no budget.
+    """
+    return rng.integers(c.N_ACTIONS, size=steps if steps is not None else step_budget(puzzle.task)).tolist()
+
+
+def scored_actions(scores: Path, puzzle_id: str) -> list[int]:
+    """What was played on a puzzle in a `scores` artefact.
+
+    Raises:
+        ArtefactError: if it is damaged, no `scores`, or does not hold the puzzle.
+    """
+    import pyarrow.parquet as pq
+
+    artefacts.verify(scores, "scores")
+    rows = pq.read_table(scores / "episodes.parquet", columns=["puzzle", "actions"]).to_pylist()
+    for row in rows:
+        if row["puzzle"] == puzzle_id:
+            return row["actions"]
+    held = f"{rows[0]['puzzle']} to {rows[-1]['puzzle']}"
+    raise ArtefactError(f"{scores}: no episode of puzzle {puzzle_id!r}; it holds {held}")
+
+
+def _moments(
+    world: World, puzzle: Puzzle, actions: Iterable[int], frames_per_step: int
+) -> Iterator[tuple[World, Moment]]:
+    """What is seen at the beginning and `frames_per_step` times a step, until the episode ends.
+
+    The world takes whole steps; a double of it is stopped on the way to be seen.
+    """
+    double, length = World(world.options), world.options.substeps // frames_per_step
+    for each in (world, double):
+        each.load(puzzle, recolour_hits=rewarded(puzzle.task))
+    hits, total = 0, 0.0
+    yield world, Moment(0, 0, 0.0, 0.0)
+    for step, action in enumerate(actions, 1):
+        double.restore_state(world.save_state())
+        outcome = world.step(action)
+        verdict = judge(puzzle.task, puzzle, hits, outcome)
+        double.data.qvel[:2] += c.MOVE_SPEED * np.array(c.MOVES[action])
+        for _ in range(frames_per_step - 1):
+            double.advance(length if action else 0)
+            yield double, Moment(step, action, 0.0, total)
+        hits, total = hits + len(outcome.hits), total + verdict.reward
+        yield world, Moment(step, action, verdict.reward, total)
+        if verdict.terminated:
+            return
+
+
+def _captioned(picture: np.ndarray, title: str, moment: Moment) -> np.ndarray:
+    """The picture over two lines of text; both edges even, as H.264 wants them."""
+    height, width = picture.shape[:2]
+    font = _font(max(9, width // 26))
+    line = round(1.5 * font.size)
+    frame = Image.new("RGB", (width + width % 2, -(-(height + 2 * line + line // 3) // 2) * 2), _PAPER)
+    frame.paste(Image.fromarray(picture))
+    draw, margin = ImageDraw.Draw(frame), line // 2
+    first, second = height + 0.65 * line, height + 1.65 * line
+    draw.text((margin, first), f"{title}   step {moment.step}", fill=_INK, font=font, anchor="lm")
+    if moment.step:
+        paid = f"reward {moment.reward:g}   return {moment.total:g}"
+        draw.text((margin, second), DIRECTIONS[moment.action], fill=_INK, font=font, anchor="lm")
+        draw.text((width - margin, second), paid, fill=_FAINT, font=font, anchor="rm")
+    return np.asarray(frame)
+
+
+@contextmanager
+def _painter(world: World, look: Look, size: int) -> Iterator[Painter]:
+    """What draws the world in this look, (size, size, 3) uint8."""
+    if look == "observation":
+        yield lambda world: np.asarray(Image.fromarray(world.observe()).resize((size, size), Image.Resampling.NEAREST))
+        return
+    from gym_open.envs.renderer import Renderer
+
+    with Renderer(world.options, (size, size)) as renderer:
+        yield renderer.picture
+
+
+def _write_mp4(path: Path, frames: Iterator[np.ndarray], fps: int) -> None:
+    import av
+
+    with av.open(str(path), "w", format="mp4") as container:
+        stream = container.add_stream("libx264", rate=fps, options={"crf": "18"})
+        stream.pix_fmt = "yuv420p"
+        for frame in frames:
+            stream.height, stream.width = frame.shape[:2]
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
+        container.mux(stream.encode())
+
+
+def _write_gif(path: Path, frames: Iterator[np.ndarray], fps: int) -> None:
+    images = [Image.fromarray(frame).quantize(128, dither=Image.Dither.NONE) for frame in frames]
+    images[0].save(
+        path, format="GIF", save_all=True, append_images=images[1:], duration=max(20, round(1000 / fps)), loop=0
+    )
+
+
+def _whole(out: Path, write: Callable[[Path], Any]) -> Path:
+    """Write a file beside `out`, then rename it."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    beside = out.with_name(f".{out.name}.tmp")
+    try:
+        write(beside)
+        return beside.replace(out)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def _check_suffix(out: Path, known: tuple[str, ...]) -> None:
+    if out.suffix not in known:
+        found = repr(out.suffix) if out.suffix else "none"
+        raise UsageError(f"{out}: expected a file name that ends in {' or '.join(known)}, got {found}")
+
+
+def _font(size: int) -> ImageFont.FreeTypeFont:
+    """DejaVu Sans, which has arrows and comes with matplotlib."""
+    import matplotlib as mpl
+
+    return ImageFont.truetype(str(Path(mpl.get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")), size)
