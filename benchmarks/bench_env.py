@@ -2,64 +2,92 @@
 
     .venv/bin/python benchmarks/bench_env.py
 
-Every row plays the same 200 actions on the same puzzle of each task; rounds take turns, so that a busy machine slows
-all rows alike, and the median round counts. `mujoco.Renderer` is measured where OpenGL is found.
+Every row plays the same actions on the same puzzles: fixed ones of all four tasks, as sandboxes, which never end. Rows
+take turns, so that a busy machine slows all alike; a ratio is the median over rounds of that within the round.
+`mujoco.Renderer` is measured where OpenGL is found.
 """
 
 import argparse
-import ctypes
-import os
 import statistics
 import time
 from collections.abc import Callable
 from typing import Any
 
+import gymnasium
+import mujoco
 import numpy as np
+from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv, VectorEnv
+from rich.console import Console
+from rich.table import Table
+
+from gym_open.envs import constants as c
+from gym_open.envs.env import OpenEnv
+from gym_open.envs.generators import sample_puzzle
+from gym_open.envs.gl import OpenGLError, open_renderer
+from gym_open.envs.puzzle_sets import test_puzzles
+from gym_open.envs.puzzles import TASKS, Puzzle
+from gym_open.envs.vector import OpenVectorEnv
+from gym_open.envs.world import World
+
+UNIT = "bare mj_step loop"
+Row = Callable[[list[Puzzle], np.ndarray], float]
+"""Seconds that actions (T, N) in N puzzles take, laying them out not counted."""
 
 
-def find_gl() -> bool:
-    """Choose an OpenGL backend before MuJoCo is imported; a backend that is missing would make the import die."""
-    for backend, libraries in (("egl", ("libEGL.so.1", "libOpenGL.so.0")), ("osmesa", ("libOSMesa.so.8",))):
-        try:
-            for library in libraries:
-                ctypes.CDLL(library)
-        except OSError:
-            continue
-        os.environ["MUJOCO_GL"] = backend
-        return True
-    return False
+class Fixed(gymnasium.Wrapper[Any, np.int64, Any, np.int64]):
+    """Always the same puzzle: gymnasium's vector environments give all of theirs the same options."""
+
+    def __init__(self, puzzle: Puzzle) -> None:
+        super().__init__(OpenEnv("sandbox"))
+        self._puzzle = puzzle
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        return self.env.reset(seed=seed, options={**(options or {}), "puzzle": self._puzzle})
 
 
-GL = find_gl()
+def one_by_one(begin: Callable[[Puzzle], Any], step: Callable[[int], Any]) -> Row:
+    def play(puzzles: list[Puzzle], actions: np.ndarray) -> float:
+        seconds = 0.0
+        for puzzle, column in zip(puzzles, actions.T.tolist(), strict=True):
+            begin(puzzle)
+            start = time.perf_counter()
+            for action in column:
+                step(action)
+            seconds += time.perf_counter() - start
+        return seconds
 
-import mujoco  # noqa: E402
-from rich.console import Console  # noqa: E402
-from rich.table import Table  # noqa: E402
-
-from gym_open.envs import constants as c  # noqa: E402
-from gym_open.envs.env import OpenEnv  # noqa: E402
-from gym_open.envs.generators import sample_puzzle  # noqa: E402
-from gym_open.envs.puzzle_sets import test_puzzles  # noqa: E402
-from gym_open.envs.puzzles import TASKS, Puzzle  # noqa: E402
-from gym_open.envs.world import World  # noqa: E402
-
-Play = Callable[[Puzzle, list[int]], float]
+    return play
 
 
-def timed(begin: Callable[[Puzzle], Any], step: Callable[[int], Any]) -> Play:
-    """Seconds that all the actions take, loading the puzzle not counted."""
+def in_turn(n: int) -> Row:
+    """The bare loop over as many worlds as a vector environment holds: they do not stay in the processor's cache."""
+    worlds = [World() for _ in range(n)]
+    steps = [bare_step(world) for world in worlds]
 
-    def play(puzzle: Puzzle, actions: list[int]) -> float:
-        begin(puzzle)
+    def play(puzzles: list[Puzzle], actions: np.ndarray) -> float:
+        for world, puzzle in zip(worlds, puzzles, strict=True):
+            world.load(puzzle)
         start = time.perf_counter()
-        for action in actions:
-            step(action)
+        for row in actions.tolist():
+            for step, action in zip(steps, row, strict=True):
+                step(action)
         return time.perf_counter() - start
 
     return play
 
 
-def bare_loop(world: World) -> Callable[[int], None]:
+def together(vector: VectorEnv[Any, Any, Any], options: Callable[[list[Puzzle]], dict[str, Any]]) -> Row:
+    def play(puzzles: list[Puzzle], actions: np.ndarray) -> float:
+        vector.reset(options=options(puzzles))
+        start = time.perf_counter()
+        for row in actions:
+            vector.step(row)
+        return time.perf_counter() - start
+
+    return play
+
+
+def bare_step(world: World) -> Callable[[int], None]:
     """The physics of a step and nothing else: push, substeps, stop."""
     model, data = world.model, world.data
 
@@ -74,72 +102,103 @@ def bare_loop(world: World) -> Callable[[int], None]:
     return step
 
 
-def rows() -> dict[str, Play]:
-    """What is measured, by name; the first is the unit."""
-    world, env = World(), OpenEnv("sandbox")
-    picture = np.empty((c.IMAGE_SIZE, c.IMAGE_SIZE, 3), np.uint8)
-    bare = bare_loop(world)
+def single_rows() -> dict[str, Row]:
+    world, image = World(), np.empty((c.IMAGE_SIZE, c.IMAGE_SIZE, 3), np.uint8)
+    env, as_dict = OpenEnv("sandbox"), OpenEnv("sandbox", observation="dict")
 
-    def as_sandbox(puzzle: Puzzle) -> None:  # which never ends
-        env.reset(options={"puzzle": Puzzle("sandbox", puzzle.objects, puzzle.pen, puzzle.patch)})
+    def look(_: int) -> None:
+        world.observe(image)
 
     def step_and_look(action: int) -> None:
         world.step(action)
-        world.observe(picture)
+        world.observe(image)
 
-    plays = {
-        "bare mj_step loop": timed(world.load, bare),
-        "World.step, no picture": timed(world.load, world.step),
-        "World.step and picture": timed(world.load, step_and_look),
-        "Gymnasium env.step (with picture)": timed(as_sandbox, env.step),
-        "ray caster alone": timed(world.load, lambda _: world.observe(picture)),
+    rows = {
+        UNIT: one_by_one(world.load, bare_step(world)),
+        "World.step, no picture": one_by_one(world.load, world.step),
+        "World.step and picture": one_by_one(world.load, step_and_look),
+        "picture alone": one_by_one(world.load, look),
+        "env.step": one_by_one(lambda puzzle: env.reset(options={"puzzle": puzzle}), env.step),
+        "env.step, dictionary": one_by_one(lambda puzzle: as_dict.reset(options={"puzzle": puzzle}), as_dict.step),
     }
-    if GL:
-        renderer = mujoco.Renderer(world.model, c.IMAGE_SIZE, c.IMAGE_SIZE)
-        for flag in ("SHADOW", "REFLECTION", "SKYBOX", "FOG", "HAZE"):
-            renderer.scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = 0
+    try:
+        renderer = open_renderer(world.model, c.IMAGE_SIZE, c.IMAGE_SIZE)
+    except OpenGLError as error:
+        Console(stderr=True).print(f"mujoco.Renderer is not measured: {error}")
+        return rows
+    for flag in ("SHADOW", "REFLECTION", "SKYBOX", "FOG", "HAZE"):
+        renderer.scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = 0
 
-        def render(_: int) -> None:
-            renderer.update_scene(world.data, camera="observation")
-            renderer.render(out=picture)
+    def step_and_render(action: int) -> None:
+        world.step(action)
+        renderer.update_scene(world.data, camera="observation")
+        renderer.render(out=image)
 
-        plays["mujoco.Renderer alone"] = timed(world.load, render)
-    return plays
+    rows["World.step and mujoco.Renderer"] = one_by_one(world.load, step_and_render)
+    return rows
+
+
+def vector_rows(puzzles: list[Puzzle]) -> dict[str, Row]:
+    n = len(puzzles)
+    each = [(lambda puzzle=puzzle: Fixed(puzzle)) for puzzle in puzzles]
+    rows: dict[str, Row] = {f"{UNIT}, {n} worlds in turn": in_turn(n)}
+    for threads in (1, 2):
+        vector = OpenVectorEnv(n, threads=threads, copy=False)
+        rows[f"OpenVectorEnv, {n} worlds, threads: {threads}"] = together(vector, lambda given: {"puzzles": given})
+    rows[f"gymnasium SyncVectorEnv, {n} worlds"] = together(SyncVectorEnv(each), lambda _: {})
+    rows[f"gymnasium AsyncVectorEnv, {n} processes"] = together(AsyncVectorEnv(each), lambda _: {})
+    return rows
+
+
+def reset_seconds(puzzles: list[Puzzle]) -> dict[str, float]:
+    """Of laying a puzzle out, and of a whole reset, in which it is drawn at random too."""
+    world, env, rng = World(), OpenEnv("goal-seeking"), np.random.default_rng(0)
+    env.reset(seed=0)
+    calls: dict[str, Callable[[int], Any]] = {
+        "World.load": lambda i: world.load(puzzles[i % len(puzzles)]),
+        "drawing a puzzle": lambda _: sample_puzzle("goal-seeking", rng),
+        "env.reset": lambda _: env.reset(),
+    }
+    found = {}
+    for name, call in calls.items():
+        times = []
+        for i in range(50):
+            start = time.perf_counter()
+            call(i)
+            times.append(time.perf_counter() - start)
+        found[name] = statistics.median(times)
+    return found
 
 
 def main() -> None:
-    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=7)
-    rounds = parser.parse_args().rounds
-    actions = np.random.default_rng(0).integers(1, c.N_ACTIONS, 200).tolist()
-    puzzles = [test_puzzles(task)[0] for task in TASKS]
-    plays = rows()
-    for play in plays.values():
-        play(puzzles[0], actions[:5])  # compile
-    seconds: dict[str, list[float]] = {name: [] for name in plays}
-    for _ in range(rounds):
-        for name, play in plays.items():
-            seconds[name].append(sum(play(puzzle, actions) for puzzle in puzzles) / len(puzzles) / len(actions))
-    world, rng = World(), np.random.default_rng(0)
-    drawn = [sample_puzzle("sandbox", rng) for _ in range(50)]
-    start = time.perf_counter()
-    for puzzle in drawn:
-        world.load(puzzle)
-    reset = (time.perf_counter() - start) / len(drawn)
+    parser.add_argument("--steps", type=int, default=50)
+    parser.add_argument("--worlds", type=int, nargs="+", default=[16])
+    given = parser.parse_args()
+    puzzles = [test_puzzles(TASKS[i % len(TASKS)])[i // len(TASKS)] for i in range(max(given.worlds))]
+    puzzles = [Puzzle("sandbox", puzzle.objects, puzzle.pen, puzzle.patch) for puzzle in puzzles]
+    rows = {name: (row, min(given.worlds)) for name, row in single_rows().items()}
+    for n in given.worlds:
+        rows |= {name: (row, n) for name, row in vector_rows(puzzles[:n]).items()}
+    actions = np.random.default_rng(0).integers(1, c.N_ACTIONS, (given.steps, len(puzzles)))
+    for row, n in rows.values():
+        row(puzzles[:n], actions[:2, :n])  # compile
+    seconds: dict[str, list[float]] = {name: [] for name in rows}
+    for _ in range(given.rounds):
+        for name, (row, n) in rows.items():
+            seconds[name].append(row(puzzles[:n], actions[:, :n]) / (n * given.steps))
 
-    unit = statistics.median(seconds["bare mj_step loop"])
-    table = Table("", "time ÷ bare loop", "µs", "a second", title=f"{c.SUBSTEPS} substeps of {c.TIMESTEP_S} s a step")
+    table = Table("per step of one world", "÷ bare loop", "µs", "a second")
     for name, times in seconds.items():
+        ratio = statistics.median(one / unit for one, unit in zip(times, seconds[UNIT], strict=True))
         median = statistics.median(times)
-        table.add_row(name, f"{median / unit:.2f}", f"{median * 1e6:.0f}", f"{1 / median:,.0f}")
-    table.add_row("World.load", f"{reset / unit:.2f}", f"{reset * 1e6:.0f}", f"{1 / reset:,.0f}")
-    console = Console()
-    console.print(table)
-    if not GL:
-        console.print(
-            "mujoco.Renderer not measured: no OpenGL (Debian: apt-get install libegl1 libopengl0 libgl1-mesa-dri)"
-        )
+        table.add_row(name, f"{ratio:.2f}", f"{median * 1e6:.0f}", f"{1 / median:,.0f}")
+    table.add_section()
+    for name, median in reset_seconds(puzzles).items():
+        ratio = median / statistics.median(seconds[UNIT])
+        table.add_row(name, f"{ratio:.2f}", f"{median * 1e6:.0f}", f"{1 / median:,.0f}")
+    Console().print(table)
 
 
 if __name__ == "__main__":
