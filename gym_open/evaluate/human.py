@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from gym_open import artefacts
+from gym_open import artefacts, progress
 from gym_open.config import Config, Count, check, to_dict
 from gym_open.envs.env import OpenEnv
 from gym_open.envs.model import model_xml
@@ -36,6 +36,12 @@ SIDE = 672
 PAUSE_S = 0.8
 """How long the end of a puzzle is shown."""
 _NAN = float("nan")
+HELP = """\
+Each press of a key is a move of one cell:  Q W E    7 8 9  on the
+                                            A   D    4   6  number   or the arrow keys
+                                            Z X C    1 2 3  pad,
+Fewer moves score higher. Esc or a closed window stops; the same command goes on from there."""
+"""What is printed when a window opens."""
 AIMS: dict[Task, str] = {
     "goal-seeking": "touch yellow",
     "preferences": "touch green and yellow, green is worth more",
@@ -125,6 +131,7 @@ def play_rounds(
     """
     from gym_open.evaluate.human_window import Window
 
+    progress.console.print(HELP, highlight=False, markup=False, soft_wrap=True)
     side = SIDE if config.picture == "sharp" else WorldOptions().image_size
     env = OpenEnv(config.task, world=WorldOptions(image_size=side), render_mode="rgb_array")
     env.reset(options={"puzzle": puzzles[0]})

@@ -79,6 +79,9 @@ class RemoteSession:
     def _ask(self, call: p.Call, expected: type[R]) -> R:
         try:
             body = p.encode(p.Request(self._session, call))
+        except (OverflowError, TypeError, ValueError, RecursionError) as error:
+            raise UsageError(f"{type(call).__name__}: an argument cannot be sent: {error}") from None
+        try:
             answer = p.decode_reply(self._call(body, timeout=self._deadline_s, metadata=self._metadata))
         except grpc.RpcError as error:
             raise self._explained(error) from None
@@ -112,6 +115,8 @@ class RemoteSession:
                     f"{where}: message too large ({details}): at most {p.REQUEST_BYTES} bytes there and "
                     f"{p.REPLY_BYTES} back; make puzzle_config smaller"
                 )
+            case grpc.StatusCode.RESOURCE_EXHAUSTED:
+                return GymOpenError(f"{where} is overloaded ({details}): try again later")
             case grpc.StatusCode.UNAUTHENTICATED:
                 return UsageError(f"{where} refused: {details}")
             case _:

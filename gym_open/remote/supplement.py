@@ -133,5 +133,5 @@ def _session(env_ip: str | None, port: int | None, *, debug: bool, deadline_s: f
 def _plain(name: str, *values: Any) -> list[Any]:
     try:
         return plain(values)
-    except TypeError as error:
+    except (TypeError, RecursionError) as error:
         raise UsageError(f"{name}: {error}") from None

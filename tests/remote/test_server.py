@@ -1,5 +1,6 @@
 """A world on a server: the same bits as in this process, and an answer to each way in which it can go wrong."""
 
+import contextlib
 import os
 import re
 import signal
@@ -17,6 +18,8 @@ import gymnasium
 import msgspec
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import gym_open
 from gym_open.envs.puzzles import PuzzleError
@@ -123,6 +126,7 @@ def assert_same(here: Any, there: Any) -> None:
     ("call", "kind"),
     [
         (lambda env: env.step(9), UsageError),
+        (lambda env: env.reset(seed=2**63), UsageError),
         (lambda env: env.add_change_puzzle(0, 0, {"cubes": 1}), ConfigError),
         (
             lambda env: env.add_change_puzzle(0, 0, {"touch_sphere": 3, "high_value_target": 3, "radius": 1}),
@@ -182,6 +186,40 @@ def test_clients_play_side_by_side(server: Server) -> None:
     assert together == alone
 
 
+def test_more_clients_at_once_than_places_get_the_places_or_a_clear_no(server: Server) -> None:
+    """Thirty at once are more than the calls that the server takes up at a time, too."""
+    got: list[Any] = []
+
+    def ask(_: int) -> None:
+        try:
+            got.append(client(server.port))
+        except GymOpenError as error:
+            got.append(str(error))
+
+    with ThreadPoolExecutor(30) as threads:
+        list(threads.map(ask, range(30)))
+    refused = [one for one in got if isinstance(one, str)]
+    assert all("all 2 places are taken" in one or "is overloaded" in one for one in refused)
+    assert len(server.sessions) == len(got) - len(refused) <= 2
+    for one in got:
+        if not isinstance(one, str):
+            one.close()
+    client(server.port).close()
+
+
+@given(st.binary(max_size=300))
+def test_bytes_are_a_request_or_refused(body: bytes) -> None:
+    with contextlib.suppress(ValueError):
+        p.decode_request(body)
+
+
+@given(st.integers(0, 40), st.binary(min_size=1, max_size=4))
+def test_a_changed_request_is_one_or_refused(at: int, change: bytes) -> None:
+    body = p.encode(p.Request("0" * 8, p.ChangePuzzle(0, None, {"cube": 3})))
+    with contextlib.suppress(ValueError):
+        p.decode_request(body[:at] + change + body[at + len(change) :])
+
+
 @pytest.mark.parametrize(
     "body",
     [
@@ -218,6 +256,34 @@ def test_an_unknown_method_or_session_is_refused(server: Server) -> None:
     answer = p.decode_reply(raw(server.port, body))
     assert isinstance(answer, p.Refused)
     assert "does not know this session" in answer.message
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda env: env.reset(seed=2**70), "Reset: an argument cannot be sent"),
+        (lambda env: env.add_change_puzzle(0, 0, {"\ud800": 1}), "an argument cannot be sent"),
+        (lambda env: env.add_change_puzzle(0, 0, _endless()), "add_change_puzzle: .*recursion"),
+    ],
+)
+def test_what_no_message_can_hold_is_named(env: Any, call: Any, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        call(env)
+    env.add_change_puzzle(1, 1)
+
+
+def _endless() -> dict[str, Any]:
+    made: dict[str, Any] = {}
+    made["cube"] = made
+    return made
+
+
+def test_a_closed_environment_says_so(server: Server) -> None:
+    env = client(server.port)
+    env.close()
+    env.close()
+    with pytest.raises(GymOpenError, match="is this environment still open"):
+        env.step(1)
 
 
 def test_oversized_requests_are_refused_by_client_and_server(env: Any, server: Server) -> None:
