@@ -1,6 +1,8 @@
 """The paper's `puzzle_config`: every key does what it says, and what cannot be is refused by name, at once."""
 
+import re
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 
 from gym_open.envs import puzzles
 from gym_open.envs.puzzle_config import PuzzleConfig, from_puzzle_config
+from gym_open.envs.puzzle_sets import published_digests, puzzle_by_id
 from gym_open.envs.puzzles import Puzzle
 from gym_open.errors import ConfigError, GymOpenError
 
@@ -154,3 +157,18 @@ def test_any_dictionary_is_met_exactly_or_refused(seed: int, config: dict) -> No
 def test_a_dictionary_with_strange_keys_is_refused() -> None:
     with pytest.raises(ConfigError):
         draw({"cube": "two"})
+
+
+PAGE = (Path(__file__).parents[2] / "docs/puzzles.md").read_text()
+
+
+def test_the_page_names_every_key() -> None:
+    section = PAGE.split("## The paper's `puzzle_config`")[1].split("## ")[0]
+    assert set(PuzzleConfig.__struct_fields__) <= set(re.findall(r"`(\w+)`", section))
+
+
+def test_the_page_shows_the_digests_and_a_record_as_they_are() -> None:
+    for name, digest in published_digests().items():
+        assert f"`{digest[:16]}…`" in PAGE, name
+    (shown,) = re.findall(r"```json\n(.*)\n```", PAGE)
+    assert shown == puzzle_by_id("tool-use/017").to_json().decode()

@@ -3,10 +3,12 @@
 import itertools
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rich.console import Console, RenderableType
 
 from gym_open.envs import make_witnesses, puzzle_report
+from gym_open.envs.constants import PEN_HALF, cell_centre
 from gym_open.envs.env import OpenEnv
 from gym_open.envs.planner import is_robust
 from gym_open.envs.puzzle_report import show, verify
@@ -110,3 +112,20 @@ def test_the_map_shows_every_thing_on_its_cell() -> None:
     assert shown == {(1, 1): "A", (2, 2): "Y", (14, 7): "C", (9, 4): "S", (10, 1): "M"} | {
         (i, 4): "R" for i in (4, 5, 6)
     }
+
+
+def test_no_pen_is_left_without_its_ramp() -> None:
+    """Not even by a planner that may try everything: each way out of a pen leads over the ramp."""
+    world = World()
+    for split in SPLITS:
+        for puzzle, witness in zip(puzzles_of("tool-use", split), witnesses_of("tool-use", split), strict=True):
+            world.load(puzzle)
+            assert puzzle.pen
+            centre = np.array(cell_centre(puzzle.pen.row, puzzle.pen.column))
+            climbed = False
+            for action in witness.actions:
+                touched = {name for contact in world.step(action).contacts for name in (contact.a, contact.b)}
+                climbed = climbed or not touched.isdisjoint({"ramp_slope", "ramp_platform"})
+                if np.abs(world.data.qpos[:2] - centre).max() > PEN_HALF:
+                    break
+            assert climbed, witness.puzzle
