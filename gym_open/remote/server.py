@@ -26,7 +26,7 @@ from gym_open.remote.address import check_host, check_port, is_loopback, read_to
 from gym_open.remote.session import Session
 
 CLIENTS = 4
-IDLE_S = 600.0
+IDLE_S = 1800.0
 _GRACE_S = 5.0
 """Calls that are going on when the server is stopped have this long."""
 _SWEEP_S = 1.0
@@ -255,9 +255,10 @@ def serve(
 
 def _greeting(server: Server, clients: int, idle_s: float) -> str:
     here = target(server.host, server.port)
+    named = "THIS-HOST" if server.host in {"0.0.0.0", "::"} else server.host  # noqa: S104  # all addresses have no name
     lines = [
         f"gym-open serve: listening on {here}, for {clients} clients; a world unused for {idle_s:g} s is freed",
-        f"  connect: gymnasium.make('gym_open:open_puzzle_proc-v0', env_ip='{server.host}', port={server.port})",
+        f"  connect: gymnasium.make('gym_open:open_puzzle_proc-v0', env_ip='{named}', port={server.port})",
     ]
     if is_loopback(server.host):
         lines.append(f"  from another host: first ssh -L {server.port}:{here} THIS-HOST, there")

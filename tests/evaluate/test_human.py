@@ -1,7 +1,6 @@
 """A person at the keyboard: a press is a move, all of it is logged and scored, and a closed window loses nothing."""
 
 import functools
-import os
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pyarrow.parquet as pq
+import pygame
 import pytest
 
 from gym_open import artefacts
@@ -25,9 +25,6 @@ from gym_open.evaluate import a_success
 from gym_open.evaluate.human import LOG, HumanConfig, StoppedError, play_as_person
 from gym_open.formats.logs import open_log
 
-os.environ["SDL_VIDEODRIVER"] = "dummy"  # before SDL is first used: no screen is needed
-
-pygame = pytest.importorskip("pygame")
 TASK = "goal-seeking"
 
 
@@ -44,6 +41,7 @@ def at_keyboard() -> Iterator[Callable[[Iterator[int | None]], None]]:
 
     wait = human_window.Window.next_move
     patch = pytest.MonkeyPatch()
+    patch.setenv("SDL_VIDEODRIVER", "dummy")  # no screen is needed
     patch.setattr(human_window, "FRAMES_PER_S", 100_000)
     patch.setattr(human, "PAUSE_S", 0)
 
