@@ -12,7 +12,7 @@ from typing import Any, get_type_hints
 import tyro
 
 import gym_open
-from gym_open.cli import stages
+from gym_open.cli import stages, world
 from gym_open.cli.base import Command
 from gym_open.config import check, load
 from gym_open.errors import GymOpenError
@@ -27,6 +27,12 @@ COMMANDS: dict[str, type[Command]] = {
     "train probe": stages.TrainProbe,
     "evaluate": stages.Evaluate,
     "viz": stages.Viz,
+    "puzzle show": world.PuzzleShow,
+    "puzzle verify": world.PuzzleVerify,
+    "render sheet": world.RenderSheet,
+    "render video": world.RenderVideo,
+    "play": world.Play,
+    "serve": world.Serve,
 }
 
 

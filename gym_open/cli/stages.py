@@ -164,12 +164,16 @@ class TrainProbe(StageCommand):
 class Evaluate(StageCommand):
     """Score a policy, or without one uniformly random actions, on a task's 100 fixed puzzles.
 
+    The oracle replays what a planner that sees everything found: what can be scored at most.
+
     Example: gym-open evaluate --policy train/policies/policy-goal-seeking
     """
 
     settings: Settings[EvaluateConfig]
     policy: Path | None = None
     """Folder of a policy; without it, a random one is scored."""
+    oracle: bool = False
+    """Score the puzzles' witnesses instead of a policy."""
     out: Path | None = None
     """Folder of the scores; default evaluate/scores/ and the policy's name."""
 
@@ -180,8 +184,9 @@ class Evaluate(StageCommand):
         """Evaluate."""
         from gym_open.evaluate.play import evaluate
 
-        name = self.policy.name if self.policy else f"{self.settings.task}-random"
-        made = evaluate(self.settings, self.policy, self.place(self.out, "evaluate/scores", name))
+        name = self.policy.name if self.policy else f"{self.settings.task}-{'oracle' if self.oracle else 'random'}"
+        folder = self.place(self.out, "evaluate/scores", name)
+        made = evaluate(self.settings, self.policy, folder, oracle=self.oracle)
         out.print(score_table({name: made.path}))
         out.print(proof_text(name, made.path))
         report(made)
