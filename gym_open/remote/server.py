@@ -88,8 +88,10 @@ class Sessions:
                 "server was started anew; make the environment anew"
             )
         with place.lock:
-            yield place.session
-            place.used = time.monotonic()
+            try:
+                yield place.session
+            finally:
+                place.used = time.monotonic()
 
     def close(self, name: str) -> None:
         """Free a session."""

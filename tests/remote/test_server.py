@@ -412,6 +412,9 @@ def test_a_vanished_clients_place_is_freed() -> None:
             client(server.port)
         gone.step(1)  # used again
         pass_time(400)
+        with pytest.raises(UsageError, match="action"):
+            gone.step(9)  # a refused call is a use, too
+        pass_time(400)
         gone.step(1)
         pass_time(501)
         env = client(server.port)  # takes the unused place
