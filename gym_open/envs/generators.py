@@ -104,8 +104,9 @@ class _Layout:
         if kind in puzzles.CUBES:
             self.place_cube(kind)
         elif kind == "rectangle":
+            free = set(self.free())
             lying = [Placement(kind, *cell, turned=turned) for cell in INTERIOR for turned in (False, True)]
-            fits = [item for item in lying if puzzles.footprint(item) <= set(self.free())]
+            fits = [item for item in lying if puzzles.footprint(item) <= free]
             if not fits:
                 raise _NoRoomError
             item = fits[int(self.rng.integers(len(fits)))]

@@ -1,4 +1,4 @@
-"""The task-free proof: nothing that an encoder learned from knew of a task, a reward or a test puzzle.
+"""The task-free proof: nothing that an encoder learned from knew of a task, a reward or an evaluation puzzle.
 
 The chain policy → encoder → release → log is walked in the lineage that the policy carries. Each link's digest is
 recomputed from the records in it, so that a record changed afterwards breaks the chain.
@@ -10,8 +10,7 @@ from typing import Literal
 import msgspec
 
 from gym_open.artefacts import Lineage, Parent
-from gym_open.envs.puzzle_sets import test_puzzles
-from gym_open.envs.puzzles import TASKS
+from gym_open.envs.puzzle_sets import reserved_digests
 
 Verdict = Literal["proven", "no encoder", "missing", "not applicable"]
 
@@ -34,11 +33,11 @@ def task_free_proof(policy: Lineage | None) -> Proof:
     """Walk from a policy's lineage down to the logs its encoder was learned from (None: a random agent)."""
     if policy is None or not policy.parents:
         return Proof(verdict="no encoder", reasons=["nothing was learned before the task"], chain=[])
-    test_digests = {puzzle.digest for task in TASKS for puzzle in test_puzzles(task)}
+    fixed = reserved_digests()
     reasons: list[str] = []
     chain: list[str] = []
     for parent in policy.parents:
-        for line, faults in _walk(parent, "encoder", test_digests):
+        for line, faults in _walk(parent, "encoder", fixed):
             chain.append(line)
             reasons.extend(faults)
     return Proof(verdict="missing" if reasons else "proven", reasons=reasons, chain=chain)
@@ -53,7 +52,7 @@ def oracle_proof() -> Proof:
 _BELOW = {"encoder": "release", "release": "log"}
 
 
-def _walk(link: Parent, expected: str, test_digests: set[str]) -> Iterator[tuple[str, list[str]]]:
+def _walk(link: Parent, expected: str, fixed: frozenset[str]) -> Iterator[tuple[str, list[str]]]:
     name = f"{link.lineage.kind} {link.digest[:12]}"
     faults = []
     if link.lineage.kind != expected:
@@ -61,15 +60,15 @@ def _walk(link: Parent, expected: str, test_digests: set[str]) -> Iterator[tuple
     if not link.is_consistent():
         faults.append(f"{name}: its records do not match its digest")
     if link.lineage.kind == "log":
-        faults += [f"{name}: {fault}" for fault in _faults_of_log(link.lineage.facts, test_digests)]
+        faults += [f"{name}: {fault}" for fault in _faults_of_log(link.lineage.facts, fixed)]
     elif not link.lineage.parents:
         faults.append(f"{name}: its parents are not recorded")
     yield name, faults
     for parent in link.lineage.parents:
-        yield from _walk(parent, _BELOW.get(link.lineage.kind, "log"), test_digests)
+        yield from _walk(parent, _BELOW.get(link.lineage.kind, "log"), fixed)
 
 
-def _faults_of_log(facts: dict[str, object], test_digests: set[str]) -> Iterator[str]:
+def _faults_of_log(facts: dict[str, object], fixed: frozenset[str]) -> Iterator[str]:
     puzzles = facts.get("puzzles")
     if facts.get("task") != "sandbox":
         yield f"played task {facts.get('task')!r}, not the sandbox"
@@ -77,5 +76,5 @@ def _faults_of_log(facts: dict[str, object], test_digests: set[str]) -> Iterator
         yield "does not say that extrinsic reward was off"
     if not isinstance(puzzles, list) or not puzzles:
         yield "does not name its puzzles"
-    elif shared := test_digests & set(puzzles):
+    elif shared := fixed & set(puzzles):
         yield f"holds {len(shared)} evaluation puzzle(s), the first with digest {min(shared)[:12]}"

@@ -35,7 +35,7 @@ def test_on_a_free_table_the_way_is_as_long_as_its_longer_side(offset: tuple[int
 
 def test_least_moves_by_trying_all_displacements() -> None:
     rng = np.random.default_rng(0)
-    for goal in rng.uniform(-0.5, 0.5, (50, 2)):
+    for goal in rng.uniform(-0.5, 0.5, (25, 2)):
         reached: list[bool] = []
         for moves in range(5):
             steps = np.linspace(-moves, moves, 401) * planner.REACH
@@ -48,8 +48,8 @@ def test_least_moves_by_trying_all_displacements() -> None:
 def test_no_shorter_sequence_solves_it(task: Task, world: World) -> None:
     """Of the puzzles solved in four actions, none is solved in three: all 512 are tried."""
     pairs = zip(puzzles_of(task, "test"), witnesses_of(task, "test"), strict=True)
-    short = [puzzle for puzzle, witness in pairs if len(witness.actions) == 4][:3]
-    assert len(short) == 3
+    short = [puzzle for puzzle, witness in pairs if len(witness.actions) == 4][:2]
+    assert len(short) == 2
     for puzzle in short:
         assert len(plan(puzzle, world).actions) == 4
         assert not any(solves(world, puzzle, actions) for actions in itertools.product(range(1, 9), repeat=3))

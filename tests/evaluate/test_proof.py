@@ -9,7 +9,7 @@ import pytest
 
 from gym_open import artefacts
 from gym_open.config import Config
-from gym_open.envs.puzzle_sets import test_puzzles as fixed_puzzles
+from gym_open.envs.puzzle_sets import puzzle_by_id
 from gym_open.evaluate.proof import Proof, task_free_proof
 
 CLEAN = {"task": "sandbox", "extrinsic_reward": False, "puzzles": ["0" * 64]}
@@ -48,7 +48,8 @@ def test_a_whole_chain_is_proven_link_by_link(tmp_path: Path) -> None:
         ({"extrinsic_reward": True}, "extrinsic reward"),
         ({"extrinsic_reward": None}, "extrinsic reward"),
         ({"puzzles": []}, "does not name its puzzles"),
-        ({"puzzles": ["0" * 64, fixed_puzzles("tool-use")[17].digest]}, "holds 1 evaluation puzzle"),
+        ({"puzzles": ["0" * 64, puzzle_by_id("tool-use/017").digest]}, "holds 1 evaluation puzzle"),
+        ({"puzzles": ["0" * 64, puzzle_by_id("avoidance/validation/003").digest]}, "holds 1 evaluation puzzle"),
     ],
 )
 def test_a_log_that_is_not_task_free_is_not_certified(tmp_path: Path, change: dict[str, Any], reason: str) -> None:
