@@ -56,6 +56,8 @@ class Triangles(NamedTuple):
     """(T, 3, 3) metres."""
     normal: np.ndarray
     """(T, 3, 3): unit vector at each corner; light varies evenly between them."""
+    plane: np.ndarray
+    """(T, 4): a point x is before the triangle if the first three · x are more than the last."""
 
 
 class Picture(NamedTuple):
@@ -185,7 +187,14 @@ def _turned(turn: np.ndarray, x: float, y: float, z: float) -> tuple[float, floa
 
 
 @compiled
-def _cross(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:
+def _corner(view: np.ndarray, place: np.ndarray, corner: np.ndarray, t: int, j: int) -> tuple[float, float, float]:
+    """Corner `j` of triangle `t` in the camera's frame."""
+    x, y, z = _turned(view, corner[t, j, 0], corner[t, j, 1], corner[t, j, 2])
+    return x + place[0], y + place[1], z + place[2]
+
+
+@compiled
+def _cross(a: tuple[float, float, float], b: tuple[float, float, float]) -> tuple[float, float, float]:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
@@ -200,25 +209,34 @@ def _centres_between(a: float, b: float, c: float, slope: float, pixels: int) ->
 
 @compiled
 def _paint_triangle(  # noqa: PLR0917  # numba takes arrays, not objects
-    shapes: Shapes, i: int, corner: np.ndarray, normals: np.ndarray, camera: Camera, picture: Picture
+    shapes: Shapes,
+    i: int,
+    planes: np.ndarray,
+    volume: float,
+    normals: np.ndarray,
+    window: tuple[int, int, int, int],
+    camera: Camera,
+    picture: Picture,
 ) -> None:
-    """Cast one triangle of mesh `i`: its corners in the camera's frame, their normals in the world's, (3, 3) each."""
+    """Show a triangle of mesh `i` inside the window (top, bottom, left, right).
+
+    Args:
+        shapes: of which it is one.
+        i: which.
+        planes: (4, 3): normals of the planes through the camera and each side; the last row is room to work in.
+        volume: six times that of the pyramid from the camera to the triangle.
+        normals: (3, 3): at its corners, in the world's frame.
+        window: where to look.
+        camera: whose frame `planes` is in.
+        picture: to paint.
+    """
     height, width = picture.depth.shape
-    a, b, c = corner[0], corner[1], corner[2]
-    # A ray (x, y, 1) crosses the triangle's plane at depth a·(b×c) / Σ weights, inside it if no weight is negative.
-    p, q, r = _cross(b, c), _cross(c, a), _cross(a, b)
-    volume = a[0] * p[0] + a[1] * p[1] + a[2] * p[2]
-    if volume <= 0 or max(a[2], b[2], c[2]) <= 0:  # its back, or behind the camera
-        return
-    left, right, top, bottom = 0, width, 0, height
-    if min(a[2], b[2], c[2]) > 0:
-        left, right = _centres_between(a[0] / a[2], b[0] / b[2], c[0] / c[2], camera.slope, width)
-        top, bottom = _centres_between(-a[1] / a[2], -b[1] / b[2], -c[1] / c[2], camera.slope, height)
-    normal = np.empty(3)
-    for row in range(top, bottom):
+    p, q, r, normal = planes[0], planes[1], planes[2], planes[3]
+    for row in range(window[0], window[1]):
         y = -((row + 0.5) / height * 2 - 1) * camera.slope
-        for column in range(left, right):
+        for column in range(window[2], window[3]):
             x = ((column + 0.5) / width * 2 - 1) * camera.slope
+            # The ray (x, y, 1) meets the triangle at depth volume / Σ weights, if no weight is negative.
             u, v, w = x * p[0] + y * p[1] + p[2], x * q[0] + y * q[1] + q[2], x * r[0] + y * r[1] + r[2]
             total = u + v + w
             if min(u, v, w) < 0 or volume >= picture.depth[row, column] * total:
@@ -236,18 +254,39 @@ def _paint_triangle(  # noqa: PLR0917  # numba takes arrays, not objects
 def _paint_mesh(  # noqa: PLR0917  # numba takes arrays, not objects
     shapes: Shapes, i: int, triangles: Triangles, camera: Camera, place: np.ndarray, picture: Picture
 ) -> None:
-    """Cast mesh `i`, whose origin is at `place` in the camera's frame."""
-    turn, view = shapes.rotation[i], np.empty((3, 3))
-    corner, normal = np.empty((3, 3)), np.empty((3, 3))
+    """Cast mesh `i`, whose origin is at `place` in the camera's frame: most of its triangles lie between two pixels."""
+    height, width = picture.depth.shape
+    turn, slope, plane = shapes.rotation[i], camera.slope, triangles.plane
+    view, planes, normals = np.empty((3, 3)), np.empty((4, 3)), np.empty((3, 3))
     for k in range(3):
         view[0, k], view[1, k], view[2, k] = _turned(camera.axes, turn[0, k], turn[1, k], turn[2, k])
+    x, y, z = camera.position - shapes.position[i]
+    eye = _turned(turn.T, x, y, z)
     for t in range(shapes.mesh[i, 0], shapes.mesh[i, 1]):
+        if plane[t, 0] * eye[0] + plane[t, 1] * eye[1] + plane[t, 2] * eye[2] <= plane[t, 3]:
+            continue  # its back
+        a, b, c = (
+            _corner(view, place, triangles.corner, t, 0),
+            _corner(view, place, triangles.corner, t, 1),
+            _corner(view, place, triangles.corner, t, 2),
+        )
+        p = _cross(b, c)
+        volume = a[0] * p[0] + a[1] * p[1] + a[2] * p[2]
+        if volume <= 0 or (a[2] <= 0 and b[2] <= 0 and c[2] <= 0):  # seen along its edge, or behind the camera
+            continue
+        left, right, top, bottom = 0, width, 0, height
+        if a[2] > 0 and b[2] > 0 and c[2] > 0:
+            left, right = _centres_between(a[0] / a[2], b[0] / b[2], c[0] / c[2], slope, width)
+            top, bottom = _centres_between(-a[1] / a[2], -b[1] / b[2], -c[1] / c[2], slope, height)
+        if left >= right or top >= bottom:
+            continue
+        planes[0, 0], planes[0, 1], planes[0, 2] = p
+        planes[1, 0], planes[1, 1], planes[1, 2] = _cross(c, a)
+        planes[2, 0], planes[2, 1], planes[2, 2] = _cross(a, b)
         for j in range(3):
-            point, way = triangles.corner[t, j], triangles.normal[t, j]
-            x, y, z = _turned(view, point[0], point[1], point[2])
-            corner[j, 0], corner[j, 1], corner[j, 2] = x + place[0], y + place[1], z + place[2]
-            normal[j, 0], normal[j, 1], normal[j, 2] = _turned(turn, way[0], way[1], way[2])
-        _paint_triangle(shapes, i, corner, normal, camera, picture)
+            way = triangles.normal[t, j]
+            normals[j, 0], normals[j, 1], normals[j, 2] = _turned(turn, way[0], way[1], way[2])
+        _paint_triangle(shapes, i, planes, volume, normals, (top, bottom, left, right), camera, picture)
 
 
 @compiled

@@ -237,7 +237,10 @@ def _triangles(model: mujoco.MjModel) -> tuple[Triangles, dict[int, tuple[int, i
         normals.append(_creased(corner, smooth))
         ranges[mesh] = (count, count + number)
         count += number
-    return Triangles(np.concatenate(corners), np.concatenate(normals)), ranges
+    corner = np.concatenate(corners)
+    plane = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    plane = np.concatenate([plane, (plane * corner[:, 0]).sum(axis=1, keepdims=True)], axis=1)
+    return Triangles(corner, np.concatenate(normals), plane), ranges
 
 
 def _creased(corner: np.ndarray, smooth: np.ndarray) -> np.ndarray:

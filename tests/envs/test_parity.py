@@ -80,9 +80,9 @@ def compare(model: mujoco.MjModel, theirs: list[Pictures], ours: list[Pictures])
             assert (a.label == geom)[seen].mean() > 0.9, model.geom(geom).name
     colour = np.abs(a.rgb.astype(int) - b.rgb)
     assert colour.mean() < 0.2
-    assert np.quantile(colour[same], 0.999) <= 3
+    assert np.quantile(colour[same], 0.999) <= 2
     near = same & (b.label >= 0)
-    assert np.quantile(np.abs(a.depth - b.depth)[near], 0.999) < 0.003
+    assert np.quantile(np.abs(a.depth - b.depth)[near], 0.999) < 0.001
 
 
 def ours(world: World) -> Pictures:

@@ -17,7 +17,7 @@ from gym_open.envs.raycast import BOX, SPHERE, Camera, Shapes, Triangles, empty_
 from gym_open.envs.scene import model_camera
 from gym_open.envs.world import World
 
-NO_TRIANGLES = Triangles(np.zeros((0, 3, 3)), np.zeros((0, 3, 3)))
+NO_TRIANGLES = Triangles(np.zeros((0, 3, 3)), np.zeros((0, 3, 3)), np.zeros((0, 4)))
 
 
 def observation_camera() -> Camera:
