@@ -101,13 +101,14 @@ def test_the_oracle_earns_everything_in_all_puzzles_of_a_split(task: Task, tmp_p
 
 def test_the_oracles_scores_are_not_taken_for_the_random_agents(tmp_path: Path) -> None:
     config = EvaluateConfig(task="goal-seeking")
-    first = evaluate(config, None, tmp_path / "scores", oracle=True)
-    second = evaluate(config, None, tmp_path / "scores")
-    assert second.made
-    assert second.earlier
-    agents = [artefacts.lineage(path).facts["agent"] for path in (second.earlier, second.path)]
-    assert agents == ["oracle", "random"]
-    assert first.path == second.path
+    out = tmp_path / "scores"
+    random = artefacts.build(out, kind="scores", config=config, parents=[], work=lambda _: {"agent": "random"})
+    oracle = evaluate(config, None, out, oracle=True)
+    assert oracle.made
+    assert oracle.earlier
+    agents = [artefacts.lineage(path).facts["agent"] for path in (oracle.earlier, oracle.path)]
+    assert agents == ["random", "oracle"]
+    assert random.path == oracle.path
 
 
 def test_a_replay_does_nothing_behind_the_sequence() -> None:
