@@ -1,5 +1,7 @@
 """Compiling with numba, cached on disk wherever this process may write."""
 
+import functools
+import hashlib
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +17,21 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     Where neither the package's folder nor the user's cache folder can be written, a temporary one is used.
     """
     try:
-        return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+        dispatcher: Any = _compile(function)
     except RuntimeError:  # no folder to cache in
         numba.core.config.CACHE_DIR = str(Path(tempfile.gettempdir()) / "gym-open-numba")  # pyright: ignore[reportAttributeAccessIssue]
-        return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+        dispatcher = _compile(function)
+    # Numba makes it anew when the function's own file changes. But what it calls in other files is in it, too.
+    dispatcher._cache._cache_file._source_stamp = source_digest(Path(__file__).parent)  # noqa: SLF001
+    return dispatcher
+
+
+def _compile(function: Callable[..., Any]) -> Any:
+    return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+
+
+@functools.cache
+def source_digest(folder: Path) -> str:
+    """SHA-256 in hex of the files of a folder that hold compiled code."""
+    texts = [path.read_bytes() for path in sorted(folder.glob("*.py"))]
+    return hashlib.sha256(b"".join(text for text in texts if b"@compiled" in text or b"intrinsic(" in text)).hexdigest()

@@ -1,0 +1,44 @@
+"""Machine code that is kept on disk is made anew when any compiled source changes."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+from gym_open.envs import jit
+
+CALLED = "from gym_open.envs.jit import compiled\n\n\n@compiled\ndef called():\n    return {}\n"
+CALLER = """\
+import sys, pathlib
+from gym_open.envs import jit
+jit.__file__ = __file__  # these files take the place of the package's
+from gym_open.envs.jit import compiled
+from called import called
+
+@compiled
+def caller():
+    return called()
+
+print(caller())
+"""
+
+
+def run(folder: Path) -> str:
+    return subprocess.run([sys.executable, "caller.py"], cwd=folder, capture_output=True, text=True, check=True).stdout
+
+
+def test_a_change_of_what_is_called_in_another_file_is_noticed(tmp_path: Path) -> None:
+    (tmp_path / "caller.py").write_text(CALLER)
+    (tmp_path / "called.py").write_text(CALLED.format(1))
+    assert [run(tmp_path), run(tmp_path)] == ["1\n", "1\n"]
+    assert list((tmp_path / "__pycache__").glob("caller.caller-*.nbc"))
+    (tmp_path / "called.py").write_text(CALLED.format(2))
+    assert run(tmp_path) == "2\n"
+
+
+def test_only_compiled_sources_count(tmp_path: Path) -> None:
+    digests = []
+    for name, text in (("a.py", "@compiled"), ("b.py", "plain"), ("b.py", "other"), ("a.py", "@compiled\n")):
+        (tmp_path / name).write_text(text)
+        jit.source_digest.cache_clear()
+        digests.append(jit.source_digest(tmp_path))
+    assert digests[0] == digests[1] == digests[2] != digests[3]
