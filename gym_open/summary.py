@@ -24,8 +24,9 @@ def read_json(path: Path) -> dict[str, Any]:
 
 def score_table(scores: Mapping[str, Path]) -> Table:
     """One row an agent: A-Success with its 95% interval over the puzzles, mean return, mean actions, training steps."""
-    task = next(iter({read_json(path / "scores.json")["task"] for path in scores.values()}))
-    table = Table(title=f"{task}: the same 100 puzzles for everyone", title_justify="left")
+    first = read_json(next(iter(scores.values())) / "scores.json")
+    title = f"{first['task']}: the same {first['puzzles']} {first['split']} puzzles for everyone"
+    table = Table(title=title, title_justify="left")
     for name in ("agent", "A-Success (95%)", "return", "actions", "trained", "task-free"):
         table.add_column(name, justify="left" if name in ("agent", "task-free") else "right", no_wrap=True)
     for name, path in scores.items():
