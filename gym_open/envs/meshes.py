@@ -6,7 +6,6 @@ cut into convex pieces (CoACD, with a fixed seed) that are touched, while the me
 
 import functools
 import io
-import warnings
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -50,7 +49,7 @@ def mesh_shape(mesh: MeshObject) -> MeshShape:
     """The shape of a mesh object; cut and laid down once for each content and scale in a process.
 
     Raises:
-        MeshError: if the file is missing, is no mesh, has too many faces, or is larger than a cell.
+        MeshError: if the file is missing, is no mesh or no closed one, has too many faces, or does not fit a cell.
     """
     path = Path(mesh.file)
     kind = path.suffix.lstrip(".").lower()
@@ -98,19 +97,11 @@ def _read(kind: str, content: bytes) -> trimesh.Trimesh:
         raise MeshError(f"not a {kind.upper()} mesh of at least four faces; export triangles")
     if kind == "glb":  # glTF's y points up
         mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0)))
-    if _closed(mesh):
-        if mesh.volume < 0:
-            mesh.invert()
-    else:
-        warnings.warn(
-            "a mesh is not watertight or its faces look both ways: it is seen as it is, but touched as CoACD closes it",
-            stacklevel=2,
-        )
+    if not (mesh.is_watertight and mesh.is_winding_consistent):
+        raise MeshError("not watertight, or its faces look both ways: it has no inside; close it in a mesh editor")
+    if mesh.volume < 0:
+        mesh.invert()
     return mesh
-
-
-def _closed(mesh: trimesh.Trimesh) -> bool:
-    return bool(mesh.is_watertight and mesh.is_winding_consistent)
 
 
 def _check_size(extents: np.ndarray, scale: float) -> None:
@@ -127,7 +118,9 @@ def _check_size(extents: np.ndarray, scale: float) -> None:
 def _convex_pieces(mesh: trimesh.Trimesh, vertices: np.ndarray) -> list[trimesh.Trimesh]:
     """Convex pieces that together fill the mesh."""
     coacd.set_log_level("error")
-    cut = coacd.run_coacd(coacd.Mesh(vertices, mesh.faces), threshold=0.05, max_ch_vertex=64, seed=0)
+    cut = coacd.run_coacd(
+        coacd.Mesh(vertices, mesh.faces), threshold=0.05, max_ch_vertex=64, preprocess_mode="off", seed=0
+    )
     return [trimesh.Trimesh(points, faces) for points, faces in cut]
 
 
