@@ -63,13 +63,14 @@ def contact_sheet(
         options: of the world; None for v1.
 
     Raises:
-        UsageError: if there is no puzzle, or `out` is not a PNG.
+        UsageError: if there is no puzzle, `out` is no PNG, or the size is out of bounds.
         OpenGLError: if the look needs OpenGL and there is none.
     """
     _check_suffix(out, (".png",))
+    _check_range("size", size, 32, 2048)
     if not puzzles:
         raise UsageError("a contact sheet needs at least one puzzle, got none")
-    columns = min(columns, len(puzzles))
+    columns = max(1, min(columns, len(puzzles)))
     rows = -(-len(puzzles) // columns)
     gap, font = max(2, size // 24), _font(max(9, size // 13))
     label = round(1.6 * font.size)
@@ -115,12 +116,15 @@ def episode_video(
         options: of the world; None for v1.
 
     Raises:
-        UsageError: if the suffix is another one, or `frames_per_step` does not divide the substeps.
+        UsageError: if the suffix is another one, a number is out of bounds, or `frames_per_step` does not divide the
+            substeps.
         OpenGLError: if the look needs OpenGL and there is none.
     """
     _check_suffix(out, (".mp4", ".gif"))
+    _check_range("size", size, 32, 2048)
+    _check_range("fps", fps, 1, 120)
     world = World(options)
-    if world.options.substeps % frames_per_step:
+    if frames_per_step < 1 or world.options.substeps % frames_per_step:
         raise UsageError(f"frames_per_step: {frames_per_step} does not divide the {world.options.substeps} substeps")
     title, held = name or puzzle.task, round(_HELD_S * fps)
     with _painter(world, look, size) as paint, progress.bar("film", len(actions)) as bar:
@@ -252,6 +256,11 @@ def _check_suffix(out: Path, known: tuple[str, ...]) -> None:
     if out.suffix not in known:
         found = repr(out.suffix) if out.suffix else "none"
         raise UsageError(f"{out}: expected a file name that ends in {' or '.join(known)}, got {found}")
+
+
+def _check_range(name: str, value: int, low: int, high: int) -> None:
+    if not low <= value <= high:
+        raise UsageError(f"{name}: expected {low} to {high}, got {value}")
 
 
 def _font(size: int) -> ImageFont.FreeTypeFont:

@@ -116,6 +116,10 @@ def test_wrong_use_is_refused_before_anything_is_drawn(tmp_path: Path) -> None:
         contact_sheet({}, tmp_path / "sheet.png")
     with pytest.raises(UsageError, match="3 does not divide the 10 substeps"):
         episode_video(STRAIGHT, [1], tmp_path / "film.mp4", frames_per_step=3)
+    with pytest.raises(UsageError, match="size: expected 32 to 2048, got 0"):
+        contact_sheet({"a": STRAIGHT}, tmp_path / "sheet.png", size=0)
+    with pytest.raises(UsageError, match="size: expected 32 to 2048, got 4000"):
+        episode_video(STRAIGHT, [1], tmp_path / "film.mp4", size=4000)
     assert not list(tmp_path.iterdir())
 
 
