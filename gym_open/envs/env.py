@@ -154,17 +154,14 @@ class OpenEnv(gymnasium.Env[Any, np.int64]):
         self._terminated, self._truncated = verdict.terminated, out_of_budget and not verdict.terminated
         return verdict.reward, self._terminated, self._truncated
 
-    def observe(self, out: Any = None) -> Any:
-        """The observation of the present: in arrays of its own, or written into those of `out`."""
+    def observe(self) -> Any:
+        """The observation of the present, in arrays of its own."""
         if not isinstance(self.observation_space, spaces.Dict):
-            return self.world.observe(out)
-        if out is None:
-            out = {name: np.empty(box.shape or (), box.dtype) for name, box in self.observation_space.items()}
-        self.world.observe(out["image"])
-        np.clip(self.world.object_state(), -_STATE_BOUND, _STATE_BOUND, out=out["object_state"], casting="same_kind")
-        out["object_state"][~self.world.present] = 0
-        out["present"][:] = self.world.present
-        return out
+            return self.world.observe()
+        states = np.empty((len(self.world.inventory), 13), np.float32)
+        show_states(self.world.object_state(), self.world.present, states)
+        present = self.world.present.astype(np.int8)
+        return {"image": self.world.observe(), "object_state": states, "present": present}
 
     def info(self, outcome: StepOutcome) -> dict[str, Any]:
         """What is told about a step besides its observation."""
@@ -241,6 +238,12 @@ class OpenEnv(gymnasium.Env[Any, np.int64]):
                 f"reset option 'puzzle': one of task {puzzle.task!r} given to a {self.task!r} environment"
             )
         return puzzle
+
+
+def show_states(states: np.ndarray, present: np.ndarray, out: np.ndarray) -> None:
+    """Write exact states (…, N, 13) as a dictionary observation has them, of those (…, N) bool that are present."""
+    np.clip(states, -_STATE_BOUND, _STATE_BOUND, out=out, casting="same_kind")
+    out[~present] = 0
 
 
 def _check_choice(name: str, value: Any, choices: tuple[Any, ...]) -> None:

@@ -1,8 +1,7 @@
 """A whole agent step, or some substeps, as one compiled call that never asks for the interpreter lock.
 
 Each world has a *board*: one record of plain numbers that compiled code reads and writes. The boards of many worlds can
-lie in one array, a *fleet*, so that one call plays any of them. What compiled code calls is all in this file, because
-numba's cache notices changes of this file alone.
+lie in one array, so that one call plays any of them (`fleet.py`).
 """
 
 from collections.abc import Sequence
@@ -102,30 +101,6 @@ def play(  # noqa: PLR0917  # compiled code takes arguments by position
         down = min(agent[2], 0.0)
         agent[:] = 0.0
         agent[2] = down
-
-
-@compiled
-def play_actions(  # noqa: PLR0917
-    boards: np.ndarray, first: int, last: int, actions: np.ndarray, pushes: np.ndarray, substeps: int, plan: Plan
-) -> None:
-    """Take the actions of worlds `first` to `last` − 1; what has a negative action is left out.
-
-    Args:
-        boards: of all worlds.
-        first: index of the first world.
-        last: index past the last one.
-        actions: (worlds,) int64.
-        pushes: (actions, 2): change of the agent's velocity in m/s.
-        substeps: of each action but 0, which lets no time pass.
-        plan: of the worlds' model.
-    """
-    for i in range(first, last):
-        action = actions[i]
-        if action > 0:
-            play(boards, i, pushes[action, 0], pushes[action, 1], substeps, True, plan)
-        elif action == 0:
-            play(boards, i, 0.0, 0.0, 0, False, plan)
-        read_states(boards, i, plan)
 
 
 @compiled
@@ -276,24 +251,6 @@ class Stepper:
         """(n_objects, 13) float64: position, quaternion, linear and angular velocity, in the world's frame."""
         read_states(self._boards, self._index, self.plan)
         return self._states.copy()
-
-
-class Fleet:
-    """Steppers of one model with their boards side by side, so that a thread plays several worlds in one call."""
-
-    def __init__(self, steppers: Sequence[Stepper], substeps: int) -> None:
-        self.boards = np.array([stepper.board for stepper in steppers])
-        for index, stepper in enumerate(steppers):
-            stepper.move(self.boards, index)
-        self._plan, self._substeps = steppers[0].plan, substeps
-        self._pushes = c.MOVE_SPEED * np.array(c.MOVES, float)
-
-    def play(self, first: int, last: int, actions: np.ndarray) -> None:
-        """Take the actions (worlds,) int64 of worlds `first` to `last` − 1; who has a negative one is left out.
-
-        Other threads may play other worlds meanwhile.
-        """
-        play_actions(self.boards, first, last, actions, self._pushes, self._substeps, self._plan)
 
 
 def _plan(model: mujoco.MjModel, objects: Sequence[str]) -> Plan:

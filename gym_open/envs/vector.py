@@ -1,6 +1,6 @@
 """Many puzzles at once over one model: threads, not processes, and no message between them.
 
-A thread takes a few worlds at a time, steps them in one compiled call, and draws them. Which thread takes which is a
+A thread takes a few worlds at a time, and steps and draws them in one compiled call. Which thread takes which is a
 matter of timing; what comes out is not, since no world touches another.
 """
 
@@ -15,11 +15,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space, create_empty_array
 
 from gym_open.envs import constants as c
-from gym_open.envs.env import Look, ObservationMode, OpenEnv
+from gym_open.envs.env import Look, ObservationMode, OpenEnv, show_states
+from gym_open.envs.fleet import Fleet
 from gym_open.envs.generators import SandboxConfig
 from gym_open.envs.options import WorldOptions
 from gym_open.envs.puzzles import Task
-from gym_open.envs.stepper import Fleet
+from gym_open.envs.stepper import StepOutcome
 from gym_open.errors import UsageError
 
 _TURNS = 4
@@ -89,9 +90,10 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         self.single_observation_space, self.single_action_space = one.observation_space, one.action_space
         self.observation_space = batch_space(one.observation_space, num_envs)
         self.action_space = batch_space(one.action_space, num_envs)
-        self._fleet = Fleet([env.world.stepper for env in self.envs], one.world.options.substeps)
+        self._fleet = Fleet([env.world for env in self.envs])
         self._observations: Any = create_empty_array(one.observation_space, num_envs)
-        self._rows = _rows(self._observations, num_envs)
+        self._images = self._observations["image"] if observation == "dict" else self._observations
+        self._present = np.zeros((num_envs, len(one.world.inventory)), bool)
         self._rewards = np.zeros(num_envs)
         self._terminations, self._truncations = np.zeros(num_envs, bool), np.zeros(num_envs, bool)
         self._ended = np.zeros(num_envs, bool)
@@ -136,7 +138,7 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         self._in_threads(work)
         self._begun = True
         self._terminations[mask], self._truncations[mask], self._ended[mask] = False, False, False
-        return self._kept(self._observations), self._all_infos(mask)
+        return self._seen(), self._told(mask)
 
     def step(self, actions: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Act once in every world, (N,) whole numbers; what became of an ended episode's world says `autoreset_mode`.
@@ -150,14 +152,14 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
             self._actions[self._ended] = -1
         self._in_threads(self._play)
         np.logical_or(self._terminations, self._truncations, out=self._ended)
-        infos = self._all_infos(np.ones(self.num_envs, bool))
+        infos = self._told(np.ones(self.num_envs, bool))
         if self.autoreset_mode == AutoresetMode.SAME_STEP:
             for i in self._ended.nonzero()[0].tolist():
                 observation, info = self._last[i] or (None, {})
                 infos = self._add_info(infos, {"final_obs": observation, "final_info": info}, i)
             self._ended[:] = False
-        kept = self._kept
-        return kept(self._observations), kept(self._rewards), kept(self._terminations), kept(self._truncations), infos
+        rewards, terminations = self._kept(self._rewards), self._kept(self._terminations)
+        return self._seen(), rewards, terminations, self._kept(self._truncations), infos
 
     def render(self) -> tuple[np.ndarray | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Each world's `render`."""
@@ -171,7 +173,7 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
 
     def _play(self, first: int, last: int) -> None:
         """Act in some of the worlds; who has a negative action begins anew instead."""
-        self._fleet.play(first, last, self._actions)
+        self._fleet.play(first, last, self._actions, self._images)
         for i in range(first, last):
             if self._actions[i] < 0:
                 self._reset(i, None, {})
@@ -185,23 +187,23 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
                 self._last[i] = env.observe(), env.info(outcome)
                 self._reset(i, None, {})
                 continue
-            env.observe(self._rows[i])
             self._note(i, env.puzzle.digest, outcome)
 
     def _reset(self, i: int, seed: int | None, options: dict[str, Any]) -> None:
         env = self.envs[i]
         env.begin(seed, options)
-        env.observe(self._rows[i])
+        env.world.observe(self._images[i])
+        env.world.object_state()  # also writes it on the board
         self._note(i, env.puzzle.digest, env.world.advance(0))
-        env.world.object_state()  # for the board, which infos are read from
 
-    def _note(self, i: int, digest: str, outcome: Any) -> None:
+    def _note(self, i: int, digest: str, outcome: StepOutcome) -> None:
         infos = self._infos
         infos["puzzle_digest"][i] = digest
         infos["contacts"][i], infos["hits"][i] = outcome.contacts, outcome.hits
         infos["in_danger"][i] = outcome.in_danger
 
-    def _all_infos(self, mask: np.ndarray) -> dict[str, Any]:
+    def _told(self, mask: np.ndarray) -> dict[str, Any]:
+        """All worlds' infos; `mask` says whose are news."""
         self._infos["object_state"][:] = self._fleet.boards["states"]
         infos: dict[str, Any] = {}
         for name, values in self._infos.items():
@@ -212,6 +214,15 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         if not self.copy:
             return values
         return {name: array.copy() for name, array in values.items()} if isinstance(values, dict) else values.copy()
+
+    def _seen(self) -> Any:
+        """All worlds' observations; the images are there already."""
+        if isinstance(self._observations, dict):
+            for i, env in enumerate(self.envs):
+                self._present[i] = env.world.present
+            show_states(self._fleet.boards["states"], self._present, self._observations["object_state"])
+            self._observations["present"][:] = self._present
+        return self._kept(self._observations)
 
     def _in_threads(self, work: Callable[[int, int], None]) -> None:
         """Do the work of all worlds, some at a time, on all threads, and wait for it."""
@@ -250,13 +261,6 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
 def _cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _rows(observations: Any, n: int) -> list[Any]:
-    """Each world's own part of the observations, to be written."""
-    if isinstance(observations, dict):
-        return [{name: array[i] for name, array in observations.items()} for i in range(n)]
-    return list(observations)
 
 
 def _empty_infos(n: int, objects: int) -> dict[str, np.ndarray]:

@@ -10,7 +10,7 @@ from gym_open.envs import model as m
 from gym_open.envs import scenery
 from gym_open.envs.options import WorldOptions
 from gym_open.envs.puzzles import GOALS, SIDES, STACK_HEIGHT, Puzzle, PuzzleError
-from gym_open.envs.scene import Scene
+from gym_open.envs.scene import Drawing, Scene
 from gym_open.envs.sleep import AWAKE, set_asleep
 from gym_open.envs.stepper import StepOutcome, Stepper
 from gym_open.errors import ArtefactError
@@ -109,6 +109,11 @@ class World:
             return image.copy()
         out[...] = image
         return out
+
+    @property
+    def drawing(self) -> Drawing:
+        """What compiled code draws this world from, until the next `load`."""
+        return self._scene.drawing
 
     def segmentation(self) -> np.ndarray:
         """(84, 84) int32: id of the geom that each pixel shows."""

@@ -95,6 +95,20 @@ def test_threads_and_copies_change_nothing() -> None:
         run.close()
 
 
+def test_its_environments_can_be_put_elsewhere() -> None:
+    rng = np.random.default_rng(2)
+    vector, alone = OpenVectorEnv(3, "preferences", observation="dict"), OpenEnv("preferences", observation="dict")
+    vector.reset(seed=0)
+    alone.reset(seed=9)
+    vector.step(np.array([1, 2, 3]))
+    vector.envs[1].restore(alone.snapshot())
+    for action in rng.integers(0, 9, 10).tolist():
+        theirs = alone.step(action)
+        ours = vector.step(np.full(3, action))
+        assert_same({name: value[1] for name, value in ours[0].items()}, theirs[0])
+        assert [ours[1][1], ours[2][1], ours[3][1]] == list(theirs[1:4])
+
+
 def test_what_is_returned_is_the_callers_unless_it_is_asked_for_without_copies() -> None:
     kept, reused = OpenVectorEnv(2, "goal-seeking"), OpenVectorEnv(2, "goal-seeking", copy=False)
     for vector in (kept, reused):
