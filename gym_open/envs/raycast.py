@@ -94,16 +94,6 @@ def empty_picture(size: int) -> Picture:
 
 
 @compiled
-def rotations(quaternion: np.ndarray, out: np.ndarray) -> None:
-    """Rotation matrices (n, 3, 3) of unit quaternions (n, 4), scalar first."""
-    for i in range(quaternion.shape[0]):
-        w, x, y, z = quaternion[i]
-        out[i, 0, 0], out[i, 0, 1], out[i, 0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
-        out[i, 1, 0], out[i, 1, 1], out[i, 1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
-        out[i, 2, 0], out[i, 2, 1], out[i, 2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
-
-
-@compiled
 def _span(across: float, ahead: float, reach: float, slope: float, pixels: int) -> tuple[int, int]:
     """First and past-last pixel of one image axis that a ball of radius `reach` can touch."""
     near, far = ahead - reach, ahead + reach

@@ -1,5 +1,7 @@
 """The ray caster against closed forms and brute force over all pixels."""
 
+import tempfile
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -13,8 +15,8 @@ from gym_open.envs import jit
 from gym_open.envs.model import fixed_model
 from gym_open.envs.puzzle_sets import test_puzzles as fixed_puzzles
 from gym_open.envs.puzzles import SIDES, Patch, Pen, Placement, Puzzle, arranged
-from gym_open.envs.raycast import BOX, SPHERE, Camera, Shapes, Triangles, empty_picture, paint, rotations
-from gym_open.envs.scene import model_camera
+from gym_open.envs.raycast import BOX, SPHERE, Camera, Shapes, Triangles, empty_picture, paint
+from gym_open.envs.scene import Parts, model_camera, place_parts
 from gym_open.envs.world import World
 
 NO_TRIANGLES = Triangles(np.zeros((0, 3, 3)), np.zeros((0, 3, 3)), np.zeros((0, 4)))
@@ -73,14 +75,23 @@ def test_objects_are_seen_where_they_are(cell: tuple[int, int]) -> None:
 def random_shapes(rng: np.random.Generator, count: int) -> Shapes:
     quaternion = rng.normal(size=(count, 4))
     quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
-    turns = np.empty((count, 3, 3))
-    rotations(quaternion, turns)
+    turns = np.empty((count, 9))
+    for turn, q in zip(turns, quaternion, strict=True):
+        mujoco.mju_quat2Mat(turn, q)
     position = rng.uniform([-0.6, -1, 0], [0.6, 1, 0.3], (count, 3))
     sphere = rng.random(count) < 0.5
     size = np.where(sphere[:, None], rng.uniform(0.03, 0.2, (count, 1)), rng.uniform(0.02, 0.3, (count, 3)))
     form = np.where(sphere, SPHERE, BOX).astype(np.int8)
     colour = rng.uniform(0, 255, (count, 3))
-    return Shapes(position, turns, size, form, np.zeros((count, 2), np.int32), colour, np.arange(count, dtype=np.int32))
+    return Shapes(
+        position,
+        turns.reshape(-1, 3, 3),
+        size,
+        form,
+        np.zeros((count, 2), np.int32),
+        colour,
+        np.arange(count, dtype=np.int32),
+    )
 
 
 def brute_depth(shapes: Shapes, i: int) -> np.ndarray:
@@ -117,15 +128,22 @@ def test_rectangles_cut_nothing_off(seed: int) -> None:
     assert not picture.rgb[picture.label == -1].any()
 
 
-def test_rotations_are_mujocos() -> None:
+def test_parts_are_placed_as_mujoco_places_them() -> None:
+    """A part's pose on its carrier's: the same as a geom's on its body."""
     rng = np.random.default_rng(0)
-    quaternion = rng.normal(size=(20, 4))
-    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
-    ours, theirs = np.empty((20, 3, 3)), np.empty(9)
-    rotations(quaternion, ours)
-    for q, turn in zip(quaternion, ours, strict=True):
-        mujoco.mju_quat2Mat(theirs, q)
-        np.testing.assert_allclose(turn, theirs.reshape(3, 3), atol=1e-12)
+    poses, places = rng.normal(size=(2, 20, 7))
+    for each in (poses, places):
+        each[:, 3:] /= np.linalg.norm(each[:, 3:], axis=1, keepdims=True)
+    shapes = random_shapes(rng, 20)
+    carrier = rng.permutation(20)
+    place_parts(poses.ravel(), Parts(carrier, places, np.zeros((20, 2, 3))), shapes)
+    position, quaternion, turn = np.empty(3), np.empty(4), np.empty(9)
+    for i, place in enumerate(places):
+        body = poses[carrier[i]]
+        mujoco.mju_mulPose(position, quaternion, body[:3], body[3:], place[:3], place[3:])
+        mujoco.mju_quat2Mat(turn, quaternion)
+        np.testing.assert_allclose(shapes.position[i], position, atol=1e-12)
+        np.testing.assert_allclose(shapes.rotation[i], turn.reshape(3, 3), atol=1e-12)
 
 
 def test_shading_is_lamberts() -> None:
@@ -187,7 +205,11 @@ def test_patch_pen_and_ramp_are_seen() -> None:
     assert (world.observe()[seen].mean(axis=0).argsort() == [2, 1, 0]).all()  # orange
 
 
-def test_without_a_cache_folder_it_still_compiles(monkeypatch: pytest.MonkeyPatch) -> None:
+def next_number(x: int) -> int:
+    return x + 1
+
+
+def test_without_a_cache_folder_it_still_compiles(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     calls: list[object] = []
     real: Any = numba.njit
 
@@ -195,9 +217,10 @@ def test_without_a_cache_folder_it_still_compiles(monkeypatch: pytest.MonkeyPatc
         calls.append(options)
         if len(calls) == 1:
             raise RuntimeError("cannot cache function: no locator available")
-        return real(**{**options, "cache": False})
+        return real(**options)
 
     monkeypatch.setattr(numba, "njit", refusing)
     monkeypatch.setattr(numba_config, "CACHE_DIR", "")
-    assert jit.compiled(lambda x: x + 1)(2) == 3
-    assert vars(numba_config)["CACHE_DIR"].endswith("gym-open-numba")
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    assert jit.compiled(next_number)(2) == 3
+    assert list((tmp_path / "gym-open-numba").rglob("*.nbc"))
