@@ -114,13 +114,13 @@ class _Layout:
         else:
             self.place(kind, self.pick(self.free()))
 
-    def may_hold_cube(self, cell: Cell) -> bool:
-        """A cube never stands beside another cube, on either axis."""
-        i, j = cell
-        return self.cubes.isdisjoint({(i - 1, j), (i + 1, j), (i, j - 1), (i, j + 1)})
+    def beside_cubes(self) -> set[Cell]:
+        """Where no cube may stand: never beside another cube, on either axis."""
+        return {(i + k, j + l) for i, j in self.cubes for k, l in ((-1, 0), (1, 0), (0, -1), (0, 1))}
 
     def place_cube(self, kind: str) -> None:
-        self.place(kind, self.pick([cell for cell in self.free() if self.may_hold_cube(cell)]))
+        beside = self.beside_cubes()
+        self.place(kind, self.pick([cell for cell in self.free() if cell not in beside]))
 
     def place_cubes(self, least: int, most: int) -> None:
         for _ in range(self.rng.integers(least, most + 1)):
@@ -180,7 +180,7 @@ def _preferences(layout: _Layout) -> None:
     layout.place("yellow", yellow)
     layout.place("green", green)
     for cell in layout.free(cells):
-        if layout.rng.random() < 0.5 and layout.may_hold_cube(cell):
+        if layout.rng.random() < 0.5 and cell not in layout.beside_cubes():
             layout.place("heavy", cell)
     layout.place_cubes(5, 8)
 
