@@ -131,11 +131,11 @@ def play_rounds(
     """
     from gym_open.evaluate.human_window import Window
 
-    progress.console.print(HELP, highlight=False, markup=False, soft_wrap=True)
     side = SIDE if config.picture == "sharp" else WorldOptions().image_size
     env = OpenEnv(config.task, world=WorldOptions(image_size=side), render_mode="rgb_array")
     env.reset(options={"puzzle": puzzles[0]})
     window = Window(env, SIDE / side)
+    progress.console.print(HELP, highlight=False, markup=False, soft_wrap=True)
     try:
         for i, (puzzle, one) in enumerate(zip(puzzles, rounds, strict=True)):
             if one.over:

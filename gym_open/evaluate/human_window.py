@@ -51,6 +51,9 @@ class Window(PlayableGame):
         self._moves: deque[int] = deque()
         self._clock = pygame.time.Clock()
         try:
+            pygame.display.init()
+            if pygame.display.get_driver() == "offscreen":  # SDL takes it by itself where it finds no screen
+                raise pygame.error("there is no screen")
             super().__init__(env, {(key,): action for key, action in _ACTION.items()}, zoom)
         except pygame.error as error:
             pygame.quit()

@@ -1,7 +1,10 @@
 """A person at the keyboard: a press is a move, all of it is logged and scored, and a closed window loses nothing."""
 
 import functools
+import os
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -181,6 +184,23 @@ def test_a_range_that_is_none_is_refused(tmp_path: Path, puzzles: tuple[int, int
 def test_an_unnamed_player_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="key `player`"):
         play_as_person(HumanConfig(player=""), tmp_path / "scores")
+
+
+def test_without_a_screen_it_says_what_to_do(tmp_path: Path) -> None:
+    """SDL would draw into memory, and the person would wait for a window."""
+    code = (
+        "import sys; from pathlib import Path\n"
+        "from gym_open.evaluate.human import HumanConfig, play_as_person\n"
+        "play_as_person(HumanConfig(), Path(sys.argv[1]))"
+    )
+    screens = {"DISPLAY", "WAYLAND_DISPLAY", "XDG_RUNTIME_DIR", "SDL_VIDEODRIVER"}
+    bare = {name: value for name, value in os.environ.items() if name not in screens}
+    done = subprocess.run(
+        [sys.executable, "-c", code, tmp_path / "scores"],
+        check=False, capture_output=True, text=True, env=bare, timeout=60,
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert "GymOpenError: no window can be opened: there is no screen; play on a machine with a screen" in done.stderr
 
 
 @pytest.mark.parametrize("picture", ["sharp", "agent"])
