@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
-from gymnasium.error import ResetNeeded
+from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space, create_empty_array
 
@@ -43,8 +43,8 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         render_look: see there.
         render_size: see there.
         autoreset_mode: what follows the end of an episode, see Gymnasium's `AutoresetMode`.
-        copy: whether what `reset` and `step` return is the caller's to keep. Without it the same arrays are written
-            again in the next step, and nothing is allocated.
+        copy: whether what `reset` and `step` return is the caller's to keep. Without it, the same arrays are written
+            again in the next step, and no new ones are made.
         threads: that step worlds, the caller's among them; None takes as many as this process has cores.
 
     Raises:
@@ -100,6 +100,7 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         self._actions = np.zeros(num_envs, np.int64)
         self._infos = _empty_infos(num_envs, len(one.world.inventory))
         self._last: list[tuple[Any, dict[str, Any]] | None] = [None] * num_envs
+        self._everyone = np.ones(num_envs, bool)
         self._begun = False
         self._threads = min(threads or _cores(), num_envs)
         self._pool = ThreadPoolExecutor(self._threads, "world")
@@ -118,10 +119,11 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
 
         Raises:
             ValueError: if there is not one seed, or puzzle, or place in the mask for each world.
+            ResetNeeded: if the first reset leaves a world out.
             PuzzleError: if an option is refused.
         """
         rest = dict(options or {})
-        mask = np.array(rest.pop("reset_mask", np.ones(self.num_envs, bool)))
+        mask = np.asarray(rest.pop("reset_mask", self._everyone))
         puzzles = rest.pop("puzzles", None)
         seeds = _seeds(seed, self.num_envs)
         for name, given in (("seed", seeds), ("options['puzzles']", puzzles), ("options['reset_mask']", mask)):
@@ -129,6 +131,8 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
                 raise ValueError(f"{name}: expected {self.num_envs}, one for each world, got {len(given)}")
         if mask.dtype != bool:
             raise ValueError(f"options['reset_mask']: expected bool, got {mask.dtype}")
+        if not (self._begun or mask.all()):
+            raise ResetNeeded("options['reset_mask']: the first reset must be of all worlds")
 
         def work(first: int, last: int) -> None:
             for i in range(first, last):
@@ -146,13 +150,14 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         Raises:
             ValueError: if the actions have another shape, are no whole numbers, or one is none of 0–8.
             ResetNeeded: before the first `reset`, or if a world has ended that nobody reset.
+            ClosedEnvironmentError: after `close`.
         """
         self._actions[:] = self._checked(actions)
         if self.autoreset_mode == AutoresetMode.NEXT_STEP:
             self._actions[self._ended] = -1
         self._in_threads(self._play)
         np.logical_or(self._terminations, self._truncations, out=self._ended)
-        infos = self._told(np.ones(self.num_envs, bool))
+        infos = self._told(self._everyone)
         if self.autoreset_mode == AutoresetMode.SAME_STEP:
             for i in self._ended.nonzero()[0].tolist():
                 observation, info = self._last[i] or (None, {})
@@ -207,7 +212,7 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         self._infos["object_state"][:] = self._fleet.boards["states"]
         infos: dict[str, Any] = {}
         for name, values in self._infos.items():
-            infos[name], infos[f"_{name}"] = self._kept(values), mask.copy()
+            infos[name], infos[f"_{name}"] = self._kept(values), self._kept(mask)
         return infos
 
     def _kept(self, values: Any) -> Any:
@@ -240,6 +245,8 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
                 other.result()
 
     def _checked(self, actions: np.ndarray) -> np.ndarray:
+        if self.closed:
+            raise ClosedEnvironmentError("the worlds are closed: make them anew")
         if not self._begun:
             raise ResetNeeded("the worlds are empty: call reset before step")
         if self.autoreset_mode == AutoresetMode.DISABLED and self._ended.any():

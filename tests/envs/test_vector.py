@@ -5,7 +5,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.error import ResetNeeded
+from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
@@ -179,6 +179,17 @@ def test_without_autoreset_an_ended_world_must_be_reset() -> None:
         vector.step(np.array([0, 0]))
     vector.reset(options={"reset_mask": np.array([False, True])})
     with pytest.raises(ResetNeeded, match=r"worlds \[0\] have ended"):
+        vector.step(np.array([0, 0]))
+
+
+def test_before_the_first_reset_and_after_closing_there_is_no_step() -> None:
+    vector = OpenVectorEnv(2, "goal-seeking")
+    with pytest.raises(ResetNeeded, match="the first reset must be of all worlds"):
+        vector.reset(options={"reset_mask": np.array([True, False])})
+    vector.reset(seed=0)
+    vector.close()
+    vector.close()
+    with pytest.raises(ClosedEnvironmentError, match="make them anew"):
         vector.step(np.array([0, 0]))
 
 
