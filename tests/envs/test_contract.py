@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 import stable_baselines3.common.env_checker as sb3
+from gymnasium.error import ResetNeeded
 from gymnasium.utils import env_checker
 from gymnasium.utils.env_checker import data_equivalence
 
@@ -71,6 +72,17 @@ def test_stable_baselines_checker_finds_nothing(task: Task) -> None:
     with pytest.warns(UserWarning, match="object_state has an unconventional shape") as warned:
         sb3.check_env(made(task, "dict"))
     assert len(warned) == 1
+
+
+def test_gymnasiums_own_wrappers_find_nothing(task: Task, form: ObservationMode) -> None:
+    env = gymnasium.make(gym_open.ENV_IDS[task], observation=form, render_mode="rgb_array")
+    with pytest.raises(ResetNeeded):
+        env.step(np.int64(0))
+    env.reset(seed=0)
+    observation = [env.step(np.int64(action))[0] for action in range(N_ACTIONS)][-1]
+    image = observation["image"] if form == "dict" else observation
+    np.testing.assert_array_equal(env.render(), image)
+    env.close()
 
 
 def test_one_seed_one_course(task: Task, form: ObservationMode) -> None:
