@@ -37,9 +37,10 @@ PAUSE_S = 0.8
 """How long the end of a puzzle is shown."""
 _NAN = float("nan")
 HELP = """\
-Each press of a key is a move of one cell:  Q W E    7 8 9  on the
-                                            A   D    4   6  number   or the arrow keys
-                                            Z X C    1 2 3  pad,
+Each press of a key is a move of one cell:
+    Q W E        7 8 9
+    A   D   or   4   6  on the number pad,  or the arrow keys
+    Z X C        1 2 3
 Fewer moves score higher. Esc or a closed window stops; the same command goes on from there."""
 """What is printed when a window opens."""
 AIMS: dict[Task, str] = {
