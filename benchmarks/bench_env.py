@@ -30,6 +30,7 @@ from gym_open.envs.vector import OpenVectorEnv
 from gym_open.envs.world import World
 
 UNIT = "bare mj_step loop"
+_MOST_PROCESSES = 16
 Row = Callable[[list[Puzzle], np.ndarray], float]
 """Seconds that actions (T, N) in N puzzles take, laying them out not counted."""
 
@@ -146,7 +147,8 @@ def vector_rows(puzzles: list[Puzzle]) -> dict[str, Row]:
         vector = OpenVectorEnv(n, threads=threads, copy=False)
         rows[f"OpenVectorEnv, {n} worlds, threads: {threads}"] = together(vector, lambda given: {"puzzles": given})
     rows[f"gymnasium SyncVectorEnv, {n} worlds"] = together(SyncVectorEnv(each), lambda _: {})
-    rows[f"gymnasium AsyncVectorEnv, {n} processes"] = together(AsyncVectorEnv(each), lambda _: {})
+    if n <= _MOST_PROCESSES:
+        rows[f"gymnasium AsyncVectorEnv, {n} processes"] = together(AsyncVectorEnv(each), lambda _: {})
     return rows
 
 
