@@ -1,6 +1,6 @@
-"""What other settings of the physics would give: the reasons in docs/environment.md. Some two minutes; the warnings are the stiffest's.
+"""What other settings of the physics would give: the reasons in docs/environment.md.
 
-.venv/bin/python benchmarks/study_physics.py
+.venv/bin/python benchmarks/study_physics.py     # some two minutes; the warnings are the stiffest contacts'
 """
 
 import time
@@ -41,6 +41,7 @@ SETTINGS = (
     Setting("implicitfast", 'integrator="Euler"', 'integrator="implicitfast"'),
     Setting("implicit", 'integrator="Euler"', 'integrator="implicit"'),
     Setting("all awake", '<flag sleep="enable"/>', ""),
+    Setting("sparse Jacobian", 'jacobian="dense"', 'jacobian="sparse"'),
     Setting("pyramidal cone", 'cone="elliptic"', 'cone="pyramidal"'),
     Setting("contacts 2¼ times as stiff", stiffness=90_000.0),
     Setting("contacts 4 times as stiff", stiffness=160_000.0),
