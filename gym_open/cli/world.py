@@ -199,12 +199,17 @@ class Play(Command):
 
     def run(self) -> None:
         """Open the window."""
-        from gym_open.evaluate.human import HumanConfig, play_as_person
+        from gym_open.evaluate.human import HumanConfig, StoppedError, play_as_person
 
         config = HumanConfig(
             task=self.task, split=self.split, puzzles=self.puzzles, player=self.player, picture=self.picture
         )
         name = f"{self.task}-{self.player}"
-        made = play_as_person(config, self.save or workspace.check(self.workspace) / "evaluate/scores" / name)
+        folder = self.save or workspace.check(self.workspace) / "evaluate/scores" / name
+        try:
+            made = play_as_person(config, folder)
+        except StoppedError as stopped:  # as it was meant: no error, but not done either
+            out.print(str(stopped))
+            raise SystemExit(130) from None
         out.print(score_table({name: made.path}))
         report(made)

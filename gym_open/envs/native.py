@@ -3,6 +3,9 @@
 A step is many substeps, and between two calls from Python other threads wait for the interpreter lock; compiled code
 that calls `mj_step` itself never asks for it. `mujoco.introspect` lists the structs' fields, ctypes lays them out as C
 does, and `layout` holds the result to MuJoCo's own Python views once a process.
+
+What MuJoCo itself calls a fatal error ends the process here, where its Python functions would raise: it has run out of
+the memory for contacts, of which random play uses a twenty-fifth.
 """
 
 import ctypes

@@ -13,11 +13,13 @@ from gym_open.errors import ArtefactError
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-ENCODER, SCRATCH, RANDOM = "from CURL encoder", "from scratch", "random"
+ENCODER, SCRATCH, RANDOM, ORACLE, HUMAN = "from CURL encoder", "from scratch", "random", "oracle", "human"
 STYLES: dict[str, dict[str, Any]] = {
     ENCODER: {"color": "#0072B2", "marker": "o", "linestyle": "-"},
     SCRATCH: {"color": "#E69F00", "marker": "s", "linestyle": "--"},
     RANDOM: {"color": "#777777", "marker": "^", "linestyle": ":"},
+    ORACLE: {"color": "#009E73", "marker": "D", "linestyle": "-."},
+    HUMAN: {"color": "#CC79A7", "marker": "v", "linestyle": "-"},
 }
 """Colours that colour-blind readers tell apart (Okabe and Ito), and a dash and a marker each for print."""
 LOSS, MEASURED, THRESHOLD, SWITCH = "#56B4E9", "#0072B2", "#D55E00", "#000000"
@@ -118,7 +120,7 @@ def _score(axes: "Axes", scores: Sequence[Path], task: str) -> None:
 
 def _scored(lineage: artefacts.Lineage) -> str:
     if not lineage.parents:
-        return RANDOM
+        return lineage.facts["agent"]
     return ENCODER if lineage.parents[0].lineage.facts["from_encoder"] else SCRATCH
 
 

@@ -1,6 +1,8 @@
 """The compiled step against a plain loop of `mujoco.mj_step` over MuJoCo's own Python views."""
 
 import math
+import threading
+import time
 from typing import Any
 
 import mujoco
@@ -123,6 +125,25 @@ def test_time_passes_without_an_action() -> None:
         assert world.data.time == pytest.approx(before + substeps * c.TIMESTEP_S)
     with pytest.raises(ValueError, match="expected 0 or more, got -1"):
         world.advance(-1)
+
+
+def test_other_threads_run_while_time_passes() -> None:
+    world, ticks, over = World(), [], threading.Event()
+    world.load(sample_puzzle("goal-seeking", np.random.default_rng(0)))
+
+    def tick() -> None:
+        while not over.wait(0.001):
+            ticks.append(time.perf_counter())
+
+    other = threading.Thread(target=tick)
+    other.start()
+    start = time.perf_counter()
+    world.advance(20_000)
+    end = time.perf_counter()
+    over.set()
+    other.join()
+    middle = [tick for tick in ticks if start + 0.1 * (end - start) < tick < end - 0.1 * (end - start)]
+    assert len(middle) > 3
 
 
 @pytest.mark.parametrize("field", [name for name in native.Layout._fields if "mj" not in name])

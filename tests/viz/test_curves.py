@@ -51,12 +51,12 @@ def sources(tmp_path: Path) -> list[Path]:
         facts = {"task": "goal-seeking", "from_encoder": start}
         policy = make(tmp_path / name, "policy", facts, {"curve.json": curve})
         made += [policy, scores(tmp_path / f"{name}-scores", [0.1, 0.3], [policy])]
-    return [*made, scores(tmp_path / "random", [0.0, 0.2], [])]
+    return [*made, *(scores(tmp_path / agent, [0.0, 0.2], [], agent) for agent in ("random", "oracle"))]
 
 
-def scores(folder: Path, within: list[float], parents: list[Path]) -> Path:
+def scores(folder: Path, within: list[float], parents: list[Path], agent: str = "PPO") -> Path:
     record = {"mean_return_within": within, "a_success": 0.125, "a_success_half_width_95": 0.01, "puzzles": 100}
-    return make(folder, "scores", {"task": "goal-seeking", "agent": "x"}, {"scores.json": record}, parents)
+    return make(folder, "scores", {"task": "goal-seeking", "agent": agent}, {"scores.json": record}, parents)
 
 
 def drawn(monkeypatch: pytest.MonkeyPatch, log: Path, others: list[Path], save: Path) -> Figure:
@@ -84,7 +84,8 @@ def test_lines_are_the_artefacts_numbers(sources: list[Path], tmp_path: Path, mo
         assert np.array_equal(np.array(line.get_data()), [[256, 384], [0.25, 0.5]])
     assert [line.get_label() for line in middle.lines] == ["from CURL encoder", "from scratch"]
     labels = [str(line.get_label()) for line in right.lines]
-    assert labels == [f"{name}: A-Success 0.125 ± 0.010" for name in ("from CURL encoder", "from scratch", "random")]
+    names = ("from CURL encoder", "from scratch", "random", "oracle")
+    assert labels == [f"{name}: A-Success 0.125 ± 0.010" for name in names]
     assert right.lines[2].get_ydata() == pytest.approx([0.0, 0.2])
     assert right.get_xscale() == "log"
     assert all(axes.get_xlabel() and axes.get_ylabel() for axes in (left, middle, right))
