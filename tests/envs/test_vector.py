@@ -11,6 +11,8 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import gym_open
 from gym_open.envs.env import OpenEnv
+from gym_open.envs.generators import SandboxConfig
+from gym_open.envs.options import ObjectOptions, WorldOptions
 from gym_open.envs.puzzle_sets import test_puzzles as fixed_puzzles
 from gym_open.envs.puzzles import TASKS, PuzzleError, Task
 from gym_open.envs.vector import OpenVectorEnv
@@ -75,6 +77,21 @@ def test_worlds_are_as_in_gymnasiums_vector_environment(task: Task, mode: Autore
     assert ended[0] or task in ("sandbox", "tool-use")
     assert ended[1] or task == "sandbox"
     ours.close()
+
+
+def test_other_worlds_and_other_sandboxes_too() -> None:
+    rng = np.random.default_rng(3)
+    options: dict[str, Any] = {
+        "sandbox": SandboxConfig(cone=(2, 2), rectangle=(1, 2), push=(1, 1), stack=(1, 1), light=(0, 1)),
+        "world": WorldOptions(image_size=40, substeps=4, objects={"cone": ObjectOptions(mass=1)}),
+    }
+    ours = OpenVectorEnv(3, **options, threads=3)
+    theirs = SyncVectorEnv([lambda: OpenEnv(**options)] * 3)
+    assert_same(ours.reset(seed=1), theirs.reset(seed=1))
+    for _ in range(25):
+        actions = rng.integers(0, 9, 3)
+        assert_same(ours.step(actions), theirs.step(actions))
+    assert ours.step(np.zeros(3, int))[0].shape == (3, 40, 40, 3)
 
 
 def test_threads_and_copies_change_nothing() -> None:
