@@ -67,9 +67,7 @@ def mesh_shape(mesh: MeshObject) -> MeshShape:
 
 @functools.lru_cache(maxsize=32)
 def _shape(kind: str, content: bytes, scale: float) -> MeshShape:
-    mesh = _read(kind, content)
-    if len(mesh.faces) > MOST_FACES:
-        raise MeshError(f"{len(mesh.faces)} faces, at most {MOST_FACES} can be drawn; simplify it")
+    mesh, colour = _read(kind, content)
     vertices, faces = mesh.vertices * scale, mesh.faces
     _check_size(np.ptp(vertices, axis=0), scale)
     convex = _convex_pieces(mesh, vertices)
@@ -84,24 +82,42 @@ def _shape(kind: str, content: bytes, scale: float) -> MeshShape:
         pieces=tuple(points - middle for points in pieces),
         shares=tuple((volumes / volumes.sum()).tolist()),
         extents=high - low,
-        colour=_main_colour(mesh),
+        colour=colour,
     )
 
 
-def _read(kind: str, content: bytes) -> trimesh.Trimesh:
+def _read(kind: str, content: bytes) -> tuple[trimesh.Trimesh, Colour]:
+    """The closed mesh, z up, and its main colour."""
     try:
-        mesh = trimesh.load_mesh(io.BytesIO(content), file_type=kind)
+        scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, process=False)
+        placed = [scene.graph[node] for node in sorted(scene.graph.nodes_geometry)]
+        parts = [(scene.geometry[name], turn) for turn, name in placed]
     except Exception as error:  # each format's reader raises its own
         raise MeshError(f"not a {kind.upper()} mesh ({error})") from None
-    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) < 4 or not np.isfinite(mesh.vertices).all():
+    parts = [(part, turn) for part, turn in parts if isinstance(part, trimesh.Trimesh)]
+    if sum(len(part.faces) for part, _ in parts) < 4 or not all(np.isfinite(part.vertices).all() for part, _ in parts):
         raise MeshError(f"not a {kind.upper()} mesh of at least four faces; export triangles")
+    mesh = _joined(parts)
+    if len(mesh.faces) > MOST_FACES:
+        raise MeshError(f"{len(mesh.faces)} faces, at most {MOST_FACES} can be drawn; simplify it")
     if kind == "glb":  # glTF's y points up
         mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0)))
     if not (mesh.is_watertight and mesh.is_winding_consistent):
         raise MeshError("not watertight, or its faces look both ways: it has no inside; close it in a mesh editor")
     if mesh.volume < 0:
         mesh.invert()
-    return mesh
+    return mesh, _main_colour(parts[0][0])
+
+
+def _joined(parts: list[tuple[trimesh.Trimesh, np.ndarray]]) -> trimesh.Trimesh:
+    """All parts where they are placed; corners at one place, which many formats repeat for each face, made one."""
+    corners, faces, count = [], [], 0
+    for part, turn in parts:
+        corners.append(trimesh.transform_points(part.vertices, turn))
+        faces.append(part.faces + count)
+        count += len(part.vertices)
+    vertices, number = np.unique(np.vstack(corners), axis=0, return_inverse=True)
+    return trimesh.Trimesh(vertices, number.reshape(-1)[np.vstack(faces)], process=False)
 
 
 def _check_size(extents: np.ndarray, scale: float) -> None:
@@ -118,10 +134,25 @@ def _check_size(extents: np.ndarray, scale: float) -> None:
 def _convex_pieces(mesh: trimesh.Trimesh, vertices: np.ndarray) -> list[trimesh.Trimesh]:
     """Convex pieces that together fill the mesh."""
     coacd.set_log_level("error")
-    cut = coacd.run_coacd(
-        coacd.Mesh(vertices, mesh.faces), threshold=0.05, max_ch_vertex=64, preprocess_mode="off", seed=0
-    )
+    shells = [trimesh.Trimesh(vertices, faces) for faces in _shells(mesh)]
+    if any(shell.volume <= 0 for shell in shells):  # one is a cavity in another
+        shells = [trimesh.Trimesh(vertices, mesh.faces)]
+    cut: list[tuple[np.ndarray, np.ndarray]] = []
+    for shell in shells:  # on its own: shells that overlap keep CoACD busy for ever
+        part = coacd.Mesh(shell.vertices, shell.faces)
+        cut += coacd.run_coacd(part, threshold=0.05, max_ch_vertex=64, preprocess_mode="off", seed=0)
     return [trimesh.Trimesh(points, faces) for points, faces in cut]
+
+
+def _shells(mesh: trimesh.Trimesh) -> list[np.ndarray]:
+    """Faces (F, 3) of each connected part of the mesh."""
+    label = np.arange(len(mesh.vertices))
+    while True:
+        least = label.copy()
+        np.minimum.at(least, mesh.faces.ravel(), label[mesh.faces].min(axis=1).repeat(3))
+        if (least == label).all():
+            return [mesh.faces[label[mesh.faces[:, 0]] == number] for number in np.unique(label[mesh.faces])]
+        label = least
 
 
 def _turn_at_rest(pieces: list[np.ndarray]) -> np.ndarray:

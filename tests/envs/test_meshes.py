@@ -186,6 +186,17 @@ def test_formats(tmp_path: Path, kind: str) -> None:
     assert sum(shape.shares) == pytest.approx(1)
 
 
+def test_parts_that_overlap_are_cut_each_on_its_own(tmp_path: Path) -> None:
+    parts = [trimesh.creation.box((0.06, 0.03, 0.05)), trimesh.creation.box((0.03, 0.06, 0.05))]
+    trimesh.util.concatenate(parts).export(tmp_path / "cross.obj")  # pyright: ignore[reportAttributeAccessIssue]
+    shape = mesh_shape(MeshObject(name="cross", file=str(tmp_path / "cross.obj")))
+    assert sorted(np.ptp(piece, axis=0).round(4).tolist() for piece in shape.pieces) == [
+        [0.03, 0.06, 0.05],
+        [0.06, 0.03, 0.05],
+    ]
+    assert shape.shares == pytest.approx((0.5, 0.5))
+
+
 def refused(path: Path, said: str, scale: float = 1.0) -> None:
     with pytest.raises(MeshError, match=said) as caught:
         mesh_shape(MeshObject(name="thing", file=str(path), scale=scale))
