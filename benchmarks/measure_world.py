@@ -137,7 +137,7 @@ def energy(world: World) -> float:
     return float(total)
 
 
-def energy_made(options: WorldOptions, layouts: int = 50, steps: int = 40) -> str:
+def energy_made(options: WorldOptions, layouts: int = 300, steps: int = 40) -> str:
     """By how much energy rises after the push, in random actions that begin with no contact but with the ground.
 
     A contact is a spring: what it holds when an action begins comes out later, so such actions are left out.
