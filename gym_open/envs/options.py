@@ -176,11 +176,6 @@ class WorldOptions(Config, frozen=True, kw_only=True, omit_defaults=True):
         _check_range("world timestep_s", self.timestep_s, 0.0002, c.TIMESTEP_S)
         _check_range("world substeps", self.substeps, 1, 1000)
 
-    @property
-    def key(self) -> bytes:
-        """Canonical JSON of what differs from v1: equal for equal options."""
-        return msgspec.json.encode(self, order="sorted")
-
     def mass(self, kind: str) -> float:
         """Kilograms of each object of a built-in kind."""
         return _chosen(self.objects.get(kind), "mass", c.MASS.get(kind))
