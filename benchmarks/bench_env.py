@@ -22,10 +22,10 @@ from rich.table import Table
 
 from gym_open.envs import constants as c
 from gym_open.envs.env import OpenEnv
-from gym_open.envs.generators import sample_puzzle
-from gym_open.envs.gl import OpenGLError, open_renderer
-from gym_open.envs.puzzle_sets import test_puzzles
+from gym_open.envs.look.gl import OpenGLError, open_renderer
 from gym_open.envs.puzzles import TASKS, Puzzle
+from gym_open.envs.puzzles.generators import sample_puzzle
+from gym_open.envs.puzzles.sets import test_puzzles
 from gym_open.envs.vector import OpenVectorEnv
 from gym_open.envs.world import World
 

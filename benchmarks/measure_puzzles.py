@@ -11,10 +11,10 @@ from rich.console import Console
 from rich.table import Table
 
 from gym_open.envs.constants import COLUMNS, ROWS
-from gym_open.envs.puzzle_sets import SPLITS, Split, puzzles_of
 from gym_open.envs.puzzles import CUBES, SIDES, TASKS, Cell, Puzzle, Task, block, pen_wall_cells, ramp_cells
+from gym_open.envs.puzzles.sets import SPLITS, Split, puzzles_of
+from gym_open.envs.puzzles.witnesses import witnesses_of
 from gym_open.envs.tasks import PAY, step_budget
-from gym_open.envs.witnesses import witnesses_of
 from gym_open.evaluate.play import replay, summarise
 
 STEPS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]

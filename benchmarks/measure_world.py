@@ -13,9 +13,9 @@ from rich.console import Console
 from rich.table import Table
 
 from gym_open.envs import constants as c
-from gym_open.envs.generators import SandboxConfig, sample_puzzle
 from gym_open.envs.options import WorldOptions
 from gym_open.envs.puzzles import SIDES, TASKS, Pen, Placement, Puzzle, Task, arranged
+from gym_open.envs.puzzles.generators import SandboxConfig, sample_puzzle
 from gym_open.envs.world import World
 from gym_open.progress import bar
 

@@ -15,10 +15,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from gym_open.envs import bounciness
 from gym_open.envs import constants as c
-from gym_open.envs import model as m
 from gym_open.envs.options import WorldOptions
+from gym_open.envs.physics import bounciness
+from gym_open.envs.physics import model as m
 from gym_open.envs.puzzles import Puzzle
 from gym_open.envs.world import World
 

@@ -26,9 +26,9 @@ class LogRecipe(Config, frozen=True):
 
 def write_log(folder: Path, recipe: LogRecipe) -> dict[str, Any]:
     """One stream for each tuple of `recipe.lengths`: the steps of its segments, in worlds 0, 1, 2, 0, 1, …"""
-    from gym_open.envs.contacts import Contact
-    from gym_open.envs.generators import sample_puzzle
-    from gym_open.envs.model import INVENTORY
+    from gym_open.envs.physics.contacts import Contact
+    from gym_open.envs.physics.model import INVENTORY
+    from gym_open.envs.puzzles.generators import sample_puzzle
     from gym_open.formats.logs import LogHead, LogWriter, SegmentStart, StepRecord, Switch
 
     rng = np.random.default_rng(recipe.seed)

@@ -8,8 +8,8 @@ import tyro
 
 from gym_open import workspace
 from gym_open.cli.base import Command, out, report
-from gym_open.envs.puzzle_sets import Split
 from gym_open.envs.puzzles import Task
+from gym_open.envs.puzzles.sets import Split
 from gym_open.errors import UsageError
 from gym_open.seeding import generator
 from gym_open.summary import score_table, short
@@ -91,8 +91,8 @@ class RenderSheet(Command):
         out.print(f"[bold green]made[/] {short(made)}")
 
     def _puzzles(self) -> "dict[str, Puzzle]":
-        from gym_open.envs.generators import sample_puzzle
-        from gym_open.envs.puzzle_sets import PER_SET, puzzle_id, puzzles_of
+        from gym_open.envs.puzzles.generators import sample_puzzle
+        from gym_open.envs.puzzles.sets import PER_SET, puzzle_id, puzzles_of
 
         first, last = self.puzzles
         if not 0 <= first < last <= PER_SET:
@@ -128,7 +128,7 @@ class RenderVideo(Command):
 
     def run(self) -> None:
         """Film it."""
-        from gym_open.envs.puzzle_sets import puzzle_by_id
+        from gym_open.envs.puzzles.sets import puzzle_by_id
         from gym_open.viz.render import episode_video
 
         puzzle = puzzle_by_id(self.puzzle)
@@ -136,7 +136,7 @@ class RenderVideo(Command):
         out.print(f"[bold green]made[/] {short(made)}")
 
     def _actions(self, puzzle: "Puzzle") -> list[int]:
-        from gym_open.envs.witnesses import witness_of
+        from gym_open.envs.puzzles.witnesses import witness_of
         from gym_open.viz.render import random_actions, scored_actions
 
         if self.actions == "witness":

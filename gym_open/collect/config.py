@@ -2,7 +2,7 @@
 
 from gym_open.agents.config import CurlConfig, EncoderConfig, ExplorerKind, PPOConfig
 from gym_open.config import Config, NonNegativeFloat, PositiveInt, Seed
-from gym_open.envs.generators import SandboxConfig
+from gym_open.envs.puzzles.generators import SandboxConfig
 
 
 class CollectConfig(Config, frozen=True, kw_only=True):

@@ -25,7 +25,7 @@ from gym_open.collect.stream import Figures, Played, Stream
 from gym_open.collect.summary import Record, SegmentRecord, summarise
 from gym_open.config import to_dict
 from gym_open.envs.constants import IMAGE_SIZE, N_ACTIONS
-from gym_open.envs.model import model_xml
+from gym_open.envs.physics.model import model_xml
 from gym_open.errors import ConfigError
 from gym_open.formats.log_schemas import Reason
 from gym_open.formats.logs import LogHead, LogWriter, Switch

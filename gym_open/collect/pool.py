@@ -10,8 +10,8 @@ from torch import Tensor
 
 from gym_open import seeding
 from gym_open.agents.explorer import Explorer
-from gym_open.envs.generators import SandboxConfig, sample_puzzle
 from gym_open.envs.puzzles import Puzzle
+from gym_open.envs.puzzles.generators import SandboxConfig, sample_puzzle
 from gym_open.envs.world import World
 from gym_open.errors import GymOpenError
 

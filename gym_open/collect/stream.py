@@ -4,8 +4,8 @@ import msgspec
 import numpy as np
 
 from gym_open.collect.pool import Pool
-from gym_open.envs.contacts import Contact
-from gym_open.envs.model import INVENTORY
+from gym_open.envs.physics.contacts import Contact
+from gym_open.envs.physics.model import INVENTORY
 from gym_open.envs.world import World
 from gym_open.formats.logs import LogWriter, SegmentStart, StepRecord, Switch
 

@@ -9,9 +9,9 @@ import numpy as np
 from gymnasium import spaces
 
 from gym_open.envs import constants as c
-from gym_open.envs.generators import SandboxConfig, sample_puzzle
 from gym_open.envs.options import WorldOptions
 from gym_open.envs.puzzles import Puzzle, PuzzleError, Task
+from gym_open.envs.puzzles.generators import SandboxConfig, sample_puzzle
 from gym_open.envs.tasks import judge, rewarded, step_budget
 from gym_open.envs.world import StepOutcome, World
 from gym_open.errors import UsageError
@@ -185,7 +185,7 @@ class OpenEnv(gymnasium.Env[Any, np.int64]):
         if not self._handsome:
             return self.world.observe()
         if self._renderer is None:
-            from gym_open.envs.renderer import Renderer
+            from gym_open.envs.look.renderer import Renderer
 
             self._renderer = Renderer(self.world.options, self._render_size)
         return self._renderer.picture(self.world)

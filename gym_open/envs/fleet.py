@@ -12,10 +12,10 @@ from numba.np.numpy_support import carray
 
 from gym_open.envs import constants as c
 from gym_open.envs.jit import compiled
-from gym_open.envs.native import address, pointer
-from gym_open.envs.raycast import Camera, Picture, Shapes, Triangles
-from gym_open.envs.scene import Drawing, Parts, draw
-from gym_open.envs.stepper import Plan, play, read_states
+from gym_open.envs.look.raycast import Camera, Picture, Shapes, Triangles
+from gym_open.envs.look.scene import Drawing, Parts, draw
+from gym_open.envs.physics.native import address, pointer
+from gym_open.envs.physics.stepper import Plan, play, read_states
 from gym_open.envs.world import World
 
 _PICTURES = ("still", "picture")

@@ -33,5 +33,5 @@ def _compile(function: Callable[..., Any]) -> Any:
 @functools.cache
 def source_digest(folder: Path) -> str:
     """SHA-256 in hex of the files of a folder that hold compiled code."""
-    texts = [path.read_bytes() for path in sorted(folder.glob("*.py"))]
+    texts = [path.read_bytes() for path in sorted(folder.rglob("*.py"))]
     return hashlib.sha256(b"".join(text for text in texts if b"@compiled" in text or b"intrinsic(" in text)).hexdigest()

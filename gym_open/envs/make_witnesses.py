@@ -7,11 +7,11 @@ import sys
 from pathlib import Path
 
 from gym_open import progress
-from gym_open.envs.make_puzzle_sets import write_digests
 from gym_open.envs.planner import Plan, plan
-from gym_open.envs.puzzle_sets import PER_SET, SPLITS, puzzles_of
 from gym_open.envs.puzzles import TASKS
-from gym_open.envs.witnesses import witness_bytes, witness_name
+from gym_open.envs.puzzles.make_sets import write_digests
+from gym_open.envs.puzzles.sets import PER_SET, SPLITS, puzzles_of
+from gym_open.envs.puzzles.witnesses import witness_bytes, witness_name
 from gym_open.envs.world import World
 
 

@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 
 from gym_open.envs import constants as c
-from gym_open.envs.model import kind_of
+from gym_open.envs.physics.model import kind_of
 from gym_open.envs.puzzles import SIDES, Pen, Puzzle, PuzzleError
 from gym_open.envs.tasks import PAY, judge, step_budget
 from gym_open.envs.world import World

@@ -9,7 +9,8 @@ from rich.text import Text
 from gym_open.envs import puzzles
 from gym_open.envs.constants import COLOUR, COLUMNS, ROWS, SCENERY_COLOUR
 from gym_open.envs.planner import solves
-from gym_open.envs.puzzle_sets import (
+from gym_open.envs.puzzles import TASKS, Puzzle, PuzzleError
+from gym_open.envs.puzzles.sets import (
     SPLITS,
     actual_digests,
     published_digests,
@@ -18,8 +19,7 @@ from gym_open.envs.puzzle_sets import (
     puzzles_of,
     set_name,
 )
-from gym_open.envs.puzzles import TASKS, Puzzle, PuzzleError
-from gym_open.envs.witnesses import witness_name, witness_of, witnesses_of
+from gym_open.envs.puzzles.witnesses import witness_name, witness_of, witnesses_of
 from gym_open.envs.world import World
 
 ARROWS = "·→↗↑↖←↙↓↘"
@@ -90,7 +90,7 @@ def verify() -> Table:
     """
     published, actual = published_digests(), actual_digests()
     if wrong := [name for name, digest in published.items() if actual.get(name) != digest]:
-        raise PuzzleError(f"puzzle_sets/{wrong[0]}: missing, or not as in digests.json; reinstall gym-open")
+        raise PuzzleError(f"puzzles/data/{wrong[0]}: missing, or not as in digests.json; reinstall gym-open")
     table = Table(title="fixed puzzles", title_justify="left")
     for name in ("set", "solved", "puzzles' SHA-256", "witnesses' SHA-256"):
         table.add_column(name, no_wrap=True)

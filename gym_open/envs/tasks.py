@@ -2,7 +2,7 @@
 
 import msgspec
 
-from gym_open.envs.model import kind_of
+from gym_open.envs.physics.model import kind_of
 from gym_open.envs.puzzles import GOALS, Puzzle, PuzzleError, Task
 from gym_open.envs.world import StepOutcome
 

@@ -17,10 +17,10 @@ from gymnasium.vector.utils import batch_space, create_empty_array
 from gym_open.envs import constants as c
 from gym_open.envs.env import Look, ObservationMode, OpenEnv, show_states
 from gym_open.envs.fleet import Fleet
-from gym_open.envs.generators import SandboxConfig
 from gym_open.envs.options import WorldOptions
+from gym_open.envs.physics.stepper import StepOutcome
 from gym_open.envs.puzzles import Task
-from gym_open.envs.stepper import StepOutcome
+from gym_open.envs.puzzles.generators import SandboxConfig
 from gym_open.errors import UsageError
 
 _TURNS = 4

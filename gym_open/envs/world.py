@@ -6,13 +6,13 @@ import mujoco
 import numpy as np
 
 from gym_open.envs import constants as c
-from gym_open.envs import model as m
-from gym_open.envs import scenery
+from gym_open.envs.look.scene import Drawing, Scene
 from gym_open.envs.options import WorldOptions
+from gym_open.envs.physics import model as m
+from gym_open.envs.physics import scenery
+from gym_open.envs.physics.sleep import AWAKE, set_asleep
+from gym_open.envs.physics.stepper import StepOutcome, Stepper
 from gym_open.envs.puzzles import GOALS, SIDES, STACK_HEIGHT, Puzzle, PuzzleError
-from gym_open.envs.scene import Drawing, Scene
-from gym_open.envs.sleep import AWAKE, set_asleep
-from gym_open.envs.stepper import StepOutcome, Stepper
 from gym_open.errors import ArtefactError
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION

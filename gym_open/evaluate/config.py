@@ -3,7 +3,7 @@
 from typing import Literal
 
 from gym_open.config import Config, PositiveInt, Seed
-from gym_open.envs.puzzle_sets import Split
+from gym_open.envs.puzzles.sets import Split
 
 
 class EvaluateConfig(Config, frozen=True, kw_only=True):

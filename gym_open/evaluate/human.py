@@ -16,10 +16,10 @@ from msgspec import Meta
 from gym_open import artefacts, progress
 from gym_open.config import Config, Count, check, to_dict
 from gym_open.envs.env import OpenEnv
-from gym_open.envs.model import model_xml
 from gym_open.envs.options import WorldOptions
-from gym_open.envs.puzzle_sets import PER_SET, Split, puzzle_id, puzzles_of
+from gym_open.envs.physics.model import model_xml
 from gym_open.envs.puzzles import Puzzle, Task
+from gym_open.envs.puzzles.sets import PER_SET, Split, puzzle_id, puzzles_of
 from gym_open.envs.tasks import judge, rewarded, step_budget
 from gym_open.envs.world import World
 from gym_open.errors import ArtefactError, ConfigError, GymOpenError

@@ -12,10 +12,10 @@ import pyarrow.parquet as pq
 from gym_open import artefacts, progress
 from gym_open.envs.constants import N_ACTIONS
 from gym_open.envs.env import OpenEnv
-from gym_open.envs.puzzle_sets import published_digests, puzzle_id, puzzles_of
 from gym_open.envs.puzzles import Puzzle, Task
+from gym_open.envs.puzzles.sets import published_digests, puzzle_id, puzzles_of
+from gym_open.envs.puzzles.witnesses import witness_name, witnesses_of
 from gym_open.envs.tasks import step_budget
-from gym_open.envs.witnesses import witness_name, witnesses_of
 from gym_open.errors import ArtefactError, UsageError
 from gym_open.evaluate.config import EvaluateConfig, OracleConfig
 from gym_open.evaluate.metrics import a_success, mean_return_within

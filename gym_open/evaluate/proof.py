@@ -10,7 +10,7 @@ from typing import Literal
 import msgspec
 
 from gym_open.artefacts import Lineage, Parent
-from gym_open.envs.puzzle_sets import reserved_digests
+from gym_open.envs.puzzles.sets import reserved_digests
 
 Verdict = Literal["proven", "no encoder", "missing", "not applicable"]
 

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 
 from gym_open.envs.constants import CONTROL_DT_S, IMAGE_SIZE
-from gym_open.envs.contacts import Contact
+from gym_open.envs.physics.contacts import Contact
 from gym_open.envs.puzzles import Puzzle
 from gym_open.errors import ArtefactError
 from gym_open.formats.log_cdr import CdrReader, CdrWriter

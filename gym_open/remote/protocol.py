@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from gym_open.envs.constants import IMAGE_SIZE
-from gym_open.envs.contacts import Contact
+from gym_open.envs.physics.contacts import Contact
 from gym_open.envs.puzzles import Puzzle, PuzzleError
 from gym_open.errors import ConfigError, GymOpenError, UsageError
 

@@ -8,10 +8,10 @@ import numpy as np
 from gymnasium.utils import seeding
 
 from gym_open.envs import constants as c
-from gym_open.envs.generators import sample_puzzle
-from gym_open.envs.model import kind_of
-from gym_open.envs.puzzle_config import from_puzzle_config
+from gym_open.envs.physics.model import kind_of
 from gym_open.envs.puzzles import TASKS, Puzzle
+from gym_open.envs.puzzles.generators import sample_puzzle
+from gym_open.envs.puzzles.puzzle_config import from_puzzle_config
 from gym_open.envs.tasks import judge, rewarded, step_budget
 from gym_open.envs.world import StepOutcome, World
 from gym_open.errors import UsageError

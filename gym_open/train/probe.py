@@ -13,9 +13,9 @@ from gym_open import artefacts, progress, seeding
 from gym_open.agents.encoder import Encoder
 from gym_open.artefacts import Lineage
 from gym_open.envs.constants import IMAGE_SIZE, PITCH
-from gym_open.envs.generators import SandboxConfig, sample_puzzle
-from gym_open.envs.model import INVENTORY
+from gym_open.envs.physics.model import INVENTORY
 from gym_open.envs.puzzles import Puzzle
+from gym_open.envs.puzzles.generators import SandboxConfig, sample_puzzle
 from gym_open.envs.world import World
 from gym_open.formats.models import load_encoder
 from gym_open.train.config import ProbeConfig

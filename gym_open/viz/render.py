@@ -216,7 +216,7 @@ def _painter(world: World, look: Look, size: int) -> Iterator[Painter]:
     if look == "observation":
         yield lambda world: np.asarray(Image.fromarray(world.observe()).resize((size, size), Image.Resampling.NEAREST))
         return
-    from gym_open.envs.renderer import Renderer
+    from gym_open.envs.look.renderer import Renderer
 
     with Renderer(world.options, (size, size)) as renderer:
         yield renderer.picture

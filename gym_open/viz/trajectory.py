@@ -25,7 +25,12 @@ from gym_open.viz.config import VizConfig
 from gym_open.viz.scenery import log_scenery, log_table
 from gym_open.viz.spans import Span, Stream
 
-KINDS = {"agent": "sphere", "yellow": "sphere", "green": "sphere", "heavy": "cube", "light": "cube"}
+SPHERES = ("agent", "yellow", "green", "push")
+HALF_SIZES: dict[str, tuple[float, float, float]] = {
+    **dict.fromkeys(c.CAPACITY, (c.RADIUS, c.RADIUS, c.RADIUS)),
+    "rectangle": (c.RECTANGLE_LENGTH / 2, c.RADIUS, c.RADIUS),
+}
+"""Of each kind's box or ball; a cone is shown as the box around it."""
 PARKED_Y = -15.0
 """An object beyond this y is not on the table: the model parks unused ones 30 m behind the camera."""
 ARROW = 0.12
@@ -81,7 +86,7 @@ def _log_objects(rec: rr.RecordingStream, stream: Stream, span: Span, numbers: n
         return
     at, count = times(span.first_step + numbers), len(numbers)
     states = span.states[numbers].astype(np.float32)
-    for kind, shape in KINDS.items():
+    for kind, half_size in HALF_SIZES.items():
         names = [
             (i, name)
             for i, name in enumerate(span.names)
@@ -90,12 +95,12 @@ def _log_objects(rec: rr.RecordingStream, stream: Stream, span: Span, numbers: n
         there = [i for i, _ in names]
         centres = states[:, there, :3].reshape(-1, 3)
         quaternions = states[:, there, 3:7][..., [1, 2, 3, 0]].reshape(-1, 4)  # Rerun wants x, y, z, w
-        archetype = rr.Boxes3D if shape == "cube" else rr.Ellipsoids3D
+        archetype = rr.Ellipsoids3D if kind in SPHERES else rr.Boxes3D
         entity = f"{stream.name}/table/{kind}"
         moving = archetype.columns(centers=centres, quaternions=quaternions)
         rec.send_columns(entity, at, moving.partition([len(there)] * count))
         fixed = archetype.columns(
-            half_sizes=np.full((len(there), 3), c.RADIUS),
+            half_sizes=np.tile(np.float32(half_size), (len(there), 1)),
             colors=[c.COLOUR[kind]] * len(there),
             labels=[name for _, name in names],
             fill_mode=[rr.components.FillMode.Solid] * len(there),

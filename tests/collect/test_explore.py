@@ -24,9 +24,9 @@ from gym_open.collect.config import CollectConfig
 from gym_open.collect.explore import Exploration, collect
 from gym_open.collect.pool import Pool, sample_pool
 from gym_open.config import to_dict
-from gym_open.envs.generators import SandboxConfig
-from gym_open.envs.model import fixed_model
-from gym_open.envs.puzzle_sets import reserved_digests
+from gym_open.envs.physics.model import fixed_model
+from gym_open.envs.puzzles.generators import SandboxConfig
+from gym_open.envs.puzzles.sets import reserved_digests
 from gym_open.envs.world import World
 from gym_open.errors import ConfigError, GymOpenError
 from gym_open.formats.log_container import Logged, whole_chunks

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from gym_open.datasets.features import features
 from gym_open.datasets.frames import numbers, pieces
 from gym_open.datasets.statistics import Moments, PictureMoments
-from gym_open.envs.generators import sample_puzzle
+from gym_open.envs.puzzles.generators import sample_puzzle
 from gym_open.formats.logs import Segment
 from gym_open.formats.pictures import decode_png, encode_png
 

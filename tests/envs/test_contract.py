@@ -16,8 +16,8 @@ from gymnasium.utils.env_checker import data_equivalence
 import gym_open
 from gym_open.envs.constants import N_ACTIONS
 from gym_open.envs.env import EnvSnapshot, ObservationMode, OpenEnv
-from gym_open.envs.puzzle_sets import reserved_digests
 from gym_open.envs.puzzles import TASKS, PuzzleError, Task
+from gym_open.envs.puzzles.sets import reserved_digests
 from gym_open.envs.tasks import PAY, step_budget
 
 ALL_TASKS: tuple[Task, ...] = ("sandbox", *TASKS)

@@ -12,11 +12,11 @@ from gymnasium.utils.seeding import np_random
 import gym_open
 from gym_open.envs import constants as c
 from gym_open.envs.env import OpenEnv
-from gym_open.envs.generators import SandboxConfig, sample_puzzle
-from gym_open.envs.gl import OpenGLError, find_backend
+from gym_open.envs.look.gl import OpenGLError, find_backend
 from gym_open.envs.options import ObjectOptions, WorldOptions
-from gym_open.envs.puzzle_sets import test_puzzles as fixed_puzzles
 from gym_open.envs.puzzles import TASKS, Patch, Pen, Placement, Puzzle, PuzzleError, Task, arranged
+from gym_open.envs.puzzles.generators import SandboxConfig, sample_puzzle
+from gym_open.envs.puzzles.sets import test_puzzles as fixed_puzzles
 from gym_open.envs.tasks import step_budget
 from gym_open.errors import UsageError
 

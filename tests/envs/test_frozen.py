@@ -15,9 +15,9 @@ from PIL import Image
 
 from gym_open import ENV_IDS
 from gym_open.envs.constants import N_ACTIONS
-from gym_open.envs.model import model_xml
-from gym_open.envs.puzzle_sets import test_puzzles
+from gym_open.envs.physics.model import model_xml
 from gym_open.envs.puzzles import TASKS, Task
+from gym_open.envs.puzzles.sets import test_puzzles
 from gym_open.envs.world import World
 
 GOLDEN = Path(__file__).parent / "golden"

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from gym_open.envs import meshes
-from gym_open.envs import model as m
-from gym_open.envs.meshes import MeshError, mesh_shape
 from gym_open.envs.options import CameraOptions, MeshObject, ObjectOptions, WorldOptions
+from gym_open.envs.physics import meshes
+from gym_open.envs.physics import model as m
+from gym_open.envs.physics.meshes import MeshError, mesh_shape
+from gym_open.envs.physics.sleep import AWAKE, set_asleep
 from gym_open.envs.puzzles import Placement, Puzzle, PuzzleError, arranged
-from gym_open.envs.sleep import AWAKE, set_asleep
 from gym_open.envs.world import World
 
 EAST = 1

@@ -5,8 +5,8 @@ import pytest
 
 from gym_open import config
 from gym_open.envs import constants as c
-from gym_open.envs import model as m
 from gym_open.envs.options import CameraOptions, LightOptions, MeshObject, ObjectOptions, WorldOptions
+from gym_open.envs.physics import model as m
 from gym_open.envs.puzzles import Placement, Puzzle, arranged
 from gym_open.envs.world import World
 from gym_open.errors import ConfigError

@@ -10,11 +10,11 @@ import pytest
 import trimesh
 
 from gym_open.envs import constants as c
-from gym_open.envs.gl import find_backend, open_renderer
+from gym_open.envs.look.gl import find_backend, open_renderer
+from gym_open.envs.look.scene import Scene, model_camera
 from gym_open.envs.options import CameraOptions, LightOptions, MeshObject, ObjectOptions, WorldOptions
-from gym_open.envs.puzzle_sets import test_puzzles as fixed_puzzles
 from gym_open.envs.puzzles import TASKS, Patch, Pen, Placement, Puzzle, arranged
-from gym_open.envs.scene import Scene, model_camera
+from gym_open.envs.puzzles.sets import test_puzzles as fixed_puzzles
 from gym_open.envs.world import World
 
 needs_gl = pytest.mark.skipif(

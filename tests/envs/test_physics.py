@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from gym_open.envs import constants as c
-from gym_open.envs.bounciness import restitution
-from gym_open.envs.generators import SandboxConfig, sample_puzzle
 from gym_open.envs.options import WorldOptions
+from gym_open.envs.physics.bounciness import restitution
 from gym_open.envs.puzzles import Pen, Placement, Puzzle, arranged
+from gym_open.envs.puzzles.generators import SandboxConfig, sample_puzzle
 from gym_open.envs.world import World
 
 EAST, NORTH, WEST, SOUTH = 1, 3, 5, 7

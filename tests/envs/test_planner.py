@@ -8,9 +8,9 @@ import pytest
 
 from gym_open.envs import planner
 from gym_open.envs.planner import least_moves, plan, solves
-from gym_open.envs.puzzle_sets import puzzle_by_id, puzzles_of
 from gym_open.envs.puzzles import Patch, Placement, Puzzle, PuzzleError, Task, arranged
-from gym_open.envs.witnesses import witnesses_of
+from gym_open.envs.puzzles.sets import puzzle_by_id, puzzles_of
+from gym_open.envs.puzzles.witnesses import witnesses_of
 from gym_open.envs.world import World
 
 EAST, NORTH, WEST = 1, 3, 5

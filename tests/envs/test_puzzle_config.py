@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gym_open.envs import puzzles
-from gym_open.envs.puzzle_config import PuzzleConfig, from_puzzle_config
-from gym_open.envs.puzzle_sets import published_digests, puzzle_by_id
 from gym_open.envs.puzzles import Puzzle
+from gym_open.envs.puzzles.puzzle_config import PuzzleConfig, from_puzzle_config
+from gym_open.envs.puzzles.sets import published_digests, puzzle_by_id
 from gym_open.errors import ConfigError, GymOpenError
 
 KINDS_OF = {

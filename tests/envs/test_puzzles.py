@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 
 from gym_open import seeding
 from gym_open.config import load
-from gym_open.envs import generators, puzzles
-from gym_open.envs.generators import SandboxConfig, sample_puzzle
-from gym_open.envs.make_puzzle_sets import SEED, set_bytes
-from gym_open.envs.puzzle_sets import (
+from gym_open.envs import puzzles
+from gym_open.envs.puzzles import TASKS, Patch, Pen, Placement, Puzzle, PuzzleError, Task, arranged, generators
+from gym_open.envs.puzzles.generators import SandboxConfig, sample_puzzle
+from gym_open.envs.puzzles.make_sets import SEED, set_bytes
+from gym_open.envs.puzzles.sets import (
     SPLITS,
     actual_digests,
     data_file,
@@ -26,8 +27,7 @@ from gym_open.envs.puzzle_sets import (
     reserved_digests,
     set_name,
 )
-from gym_open.envs.puzzle_sets import test_puzzles as fixed_puzzles
-from gym_open.envs.puzzles import TASKS, Patch, Pen, Placement, Puzzle, PuzzleError, Task, arranged
+from gym_open.envs.puzzles.sets import test_puzzles as fixed_puzzles
 from gym_open.errors import ConfigError
 
 ALL_TASKS: tuple[Task, ...] = ("sandbox", *TASKS)

@@ -12,11 +12,11 @@ from numba.core import config as numba_config
 
 from gym_open.envs import constants as c
 from gym_open.envs import jit
-from gym_open.envs.model import fixed_model
-from gym_open.envs.puzzle_sets import test_puzzles as fixed_puzzles
+from gym_open.envs.look.raycast import BOX, SPHERE, Camera, Shapes, Triangles, empty_picture, paint
+from gym_open.envs.look.scene import Parts, model_camera, place_parts
+from gym_open.envs.physics.model import fixed_model
 from gym_open.envs.puzzles import SIDES, Patch, Pen, Placement, Puzzle, arranged
-from gym_open.envs.raycast import BOX, SPHERE, Camera, Shapes, Triangles, empty_picture, paint
-from gym_open.envs.scene import Parts, model_camera, place_parts
+from gym_open.envs.puzzles.sets import test_puzzles as fixed_puzzles
 from gym_open.envs.world import World
 
 NO_TRIANGLES = Triangles(np.zeros((0, 3, 3)), np.zeros((0, 3, 3)), np.zeros((0, 4)))

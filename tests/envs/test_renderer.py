@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from gym_open.envs import constants as c
-from gym_open.envs import gl
-from gym_open.envs.model import fixed_model
+from gym_open.envs.look import gl
+from gym_open.envs.look.renderer import Renderer
 from gym_open.envs.options import CameraOptions, ObjectOptions, WorldOptions
-from gym_open.envs.puzzle_sets import test_puzzles as fixed_puzzles
+from gym_open.envs.physics.model import fixed_model
 from gym_open.envs.puzzles import Pen, Placement, Puzzle, arranged
-from gym_open.envs.renderer import Renderer
+from gym_open.envs.puzzles.sets import test_puzzles as fixed_puzzles
 from gym_open.envs.world import World
 
 needs_gl = pytest.mark.skipif(

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from gym_open.envs import constants as c
-from gym_open.envs import native
-from gym_open.envs.contacts import Contact
-from gym_open.envs.generators import sample_puzzle
+from gym_open.envs.physics import native
+from gym_open.envs.physics.contacts import Contact
+from gym_open.envs.physics.stepper import StepOutcome
 from gym_open.envs.puzzles import TASKS, Task
-from gym_open.envs.stepper import StepOutcome
+from gym_open.envs.puzzles.generators import sample_puzzle
 from gym_open.envs.world import World
 
 ALL_TASKS: tuple[Task, ...] = ("sandbox", *TASKS)

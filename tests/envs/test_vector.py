@@ -11,10 +11,10 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import gym_open
 from gym_open.envs.env import OpenEnv
-from gym_open.envs.generators import SandboxConfig
 from gym_open.envs.options import ObjectOptions, WorldOptions
-from gym_open.envs.puzzle_sets import test_puzzles as fixed_puzzles
 from gym_open.envs.puzzles import TASKS, PuzzleError, Task
+from gym_open.envs.puzzles.generators import SandboxConfig
+from gym_open.envs.puzzles.sets import test_puzzles as fixed_puzzles
 from gym_open.envs.vector import OpenVectorEnv
 from gym_open.errors import UsageError
 

@@ -12,9 +12,9 @@ from gym_open.envs.constants import PEN_HALF, cell_centre
 from gym_open.envs.env import OpenEnv
 from gym_open.envs.planner import is_robust
 from gym_open.envs.puzzle_report import show, verify
-from gym_open.envs.puzzle_sets import SPLITS, data_file, published_digests, puzzle_by_id, puzzles_of
 from gym_open.envs.puzzles import TASKS, Placement, Puzzle, PuzzleError, Task, arranged
-from gym_open.envs.witnesses import Witness, witness_name, witness_of, witnesses_of
+from gym_open.envs.puzzles.sets import SPLITS, data_file, published_digests, puzzle_by_id, puzzles_of
+from gym_open.envs.puzzles.witnesses import Witness, witness_name, witness_of, witnesses_of
 from gym_open.envs.world import World
 
 SETS = list(itertools.product(TASKS, SPLITS))
@@ -79,7 +79,7 @@ def test_the_check_lists_every_set() -> None:
 def test_a_changed_file_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     changed = published_digests() | {"tool-use-test.jsonl": "0" * 64}
     monkeypatch.setattr(puzzle_report, "published_digests", lambda: changed)
-    with pytest.raises(PuzzleError, match=r"puzzle_sets/tool-use-test.jsonl: missing, or not as in digests.json"):
+    with pytest.raises(PuzzleError, match=r"puzzles/data/tool-use-test.jsonl: missing, or not as in digests.json"):
         verify()
 
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from gym_open.envs import constants as c
-from gym_open.envs import model as m
-from gym_open.envs.generators import sample_puzzle
-from gym_open.envs.puzzle_sets import test_puzzles as fixed_puzzles
+from gym_open.envs.physics import model as m
 from gym_open.envs.puzzles import SIDES, TASKS, Patch, Pen, Placement, Puzzle, PuzzleError, Side, Task, arranged
+from gym_open.envs.puzzles.generators import sample_puzzle
+from gym_open.envs.puzzles.sets import test_puzzles as fixed_puzzles
 from gym_open.envs.world import World
 from gym_open.errors import ArtefactError
 

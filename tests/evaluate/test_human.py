@@ -21,7 +21,7 @@ from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.envs import constants as c
 from gym_open.envs.env import OpenEnv
-from gym_open.envs.puzzle_sets import puzzle_by_id, puzzles_of
+from gym_open.envs.puzzles.sets import puzzle_by_id, puzzles_of
 from gym_open.envs.world import World
 from gym_open.errors import ArtefactError, ConfigError
 from gym_open.evaluate import a_success

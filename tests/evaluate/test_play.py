@@ -10,10 +10,10 @@ import pytest
 from gym_open import artefacts
 from gym_open.envs.constants import N_ACTIONS
 from gym_open.envs.env import OpenEnv
-from gym_open.envs.puzzle_sets import test_puzzles as fixed_puzzles
 from gym_open.envs.puzzles import TASKS, Task
+from gym_open.envs.puzzles.sets import test_puzzles as fixed_puzzles
+from gym_open.envs.puzzles.witnesses import witnesses_of
 from gym_open.envs.tasks import step_budget
-from gym_open.envs.witnesses import witnesses_of
 from gym_open.errors import UsageError
 from gym_open.evaluate import a_success
 from gym_open.evaluate.config import EvaluateConfig

@@ -9,7 +9,7 @@ import pytest
 
 from gym_open import artefacts
 from gym_open.config import Config
-from gym_open.envs.puzzle_sets import puzzle_by_id
+from gym_open.envs.puzzles.sets import puzzle_by_id
 from gym_open.evaluate.proof import Proof, task_free_proof
 
 CLEAN = {"task": "sandbox", "extrinsic_reward": False, "puzzles": ["0" * 64]}

@@ -15,7 +15,7 @@ from mcap.writer import Writer
 from mcap_ros2._dynamic import serialize_dynamic
 from mcap_ros2.decoder import DecoderFactory
 
-from gym_open.envs.contacts import Contact
+from gym_open.envs.physics.contacts import Contact
 from gym_open.envs.puzzles import Placement, Puzzle, arranged
 from gym_open.errors import ArtefactError
 from gym_open.formats import log_container, log_schemas

@@ -13,7 +13,7 @@ from gym_open import artefacts
 from gym_open.agents.config import CurlConfig, EncoderConfig
 from gym_open.agents.encoder import Encoder
 from gym_open.envs.constants import PITCH, cell_centre
-from gym_open.envs.generators import sample_puzzle
+from gym_open.envs.puzzles.generators import sample_puzzle
 from gym_open.seeding import generator
 from gym_open.train.config import EncoderTrainConfig, ProbeConfig
 from gym_open.train.encoder import train_encoder

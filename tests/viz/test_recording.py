@@ -117,10 +117,18 @@ def test_pictures_are_the_logs(recording: Recording, segments: list[Segment]) ->
 
 
 @pytest.mark.parametrize(
-    ("kind", "archetype"), [("agent", "Ellipsoids3D"), ("green", "Ellipsoids3D"), ("heavy", "Boxes3D")]
+    ("kind", "archetype", "length"),
+    [
+        ("agent", "Ellipsoids3D", 0.1),
+        ("green", "Ellipsoids3D", 0.1),
+        ("heavy", "Boxes3D", 0.1),
+        ("push", "Ellipsoids3D", 0.1),
+        ("rectangle", "Boxes3D", 0.3),
+        ("cone", "Boxes3D", 0.1),
+    ],
 )
 def test_objects_are_where_the_log_says(
-    recording: Recording, segments: list[Segment], kind: str, archetype: str
+    recording: Recording, segments: list[Segment], kind: str, archetype: str, length: float
 ) -> None:
     """`green_2` and `heavy_11` are parked in this log: they are not drawn."""
     names = segments[0].object_names
@@ -134,6 +142,8 @@ def test_objects_are_where_the_log_says(
     at, labels = recording.column(f"/stream_0/table/{kind}", f"{archetype}:labels")
     assert set(at) >= {segment.first_step for segment in segments}  # and the pieces of a release
     assert labels == [[names[i] for i in there]] * len(at)
+    _, halves = recording.column(f"/stream_0/table/{kind}", f"{archetype}:half_sizes")
+    assert np.allclose(halves, [length / 2, 0.05, 0.05])
 
 
 def test_trail_and_moves_follow_the_agent(recording: Recording, segments: list[Segment]) -> None:

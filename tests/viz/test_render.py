@@ -11,9 +11,9 @@ from PIL import Image
 
 from gym_open import artefacts
 from gym_open.envs import constants as c
-from gym_open.envs import gl
-from gym_open.envs.puzzle_sets import test_puzzles as fixed_puzzles
+from gym_open.envs.look import gl
 from gym_open.envs.puzzles import Placement, Puzzle, PuzzleError, arranged
+from gym_open.envs.puzzles.sets import test_puzzles as fixed_puzzles
 from gym_open.envs.world import World
 from gym_open.errors import ArtefactError, UsageError
 from gym_open.evaluate.config import EvaluateConfig

@@ -9,9 +9,9 @@ from typing import Literal, Self
 import mujoco
 import numpy as np
 
-from gym_open.envs.gl import open_renderer
-from gym_open.envs.model import model_xml
+from gym_open.envs.look.gl import open_renderer
 from gym_open.envs.options import WorldOptions
+from gym_open.envs.physics.model import model_xml
 from gym_open.envs.world import World
 
 View = Literal["people", "observation"]

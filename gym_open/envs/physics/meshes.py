@@ -15,8 +15,8 @@ import numpy as np
 import trimesh
 
 from gym_open.envs import constants as c
-from gym_open.envs.mjcf import text
 from gym_open.envs.options import LARGEST_SIZE, SMALLEST_SIZE, Colour, MeshObject
+from gym_open.envs.physics.mjcf import text
 from gym_open.errors import GymOpenError
 
 FORMATS = ("obj", "stl", "ply", "glb")

@@ -13,10 +13,10 @@ import numpy as np
 from numba.np.numpy_support import carray
 
 from gym_open.envs import constants as c
-from gym_open.envs.contacts import Contact, contacts_of, thing_names, things_of
 from gym_open.envs.jit import compiled
-from gym_open.envs.model import kind_of
-from gym_open.envs.native import Layout, address, call2, call3, layout, pointer
+from gym_open.envs.physics.contacts import Contact, contacts_of, thing_names, things_of
+from gym_open.envs.physics.model import kind_of
+from gym_open.envs.physics.native import Layout, address, call2, call3, layout, pointer
 from gym_open.envs.puzzles import GOALS
 
 _PAIRS = 256

@@ -5,8 +5,8 @@ from collections.abc import Iterable
 
 import msgspec
 
-from gym_open.envs.puzzle_sets import Split, data_file, locate, puzzle_id, puzzles_of
 from gym_open.envs.puzzles import PuzzleError, Task
+from gym_open.envs.puzzles.sets import Split, data_file, locate, puzzle_id, puzzles_of
 
 
 class Witness(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -46,10 +46,10 @@ def witnesses_of(task: Task, split: Split) -> tuple[Witness, ...]:
     try:
         witnesses = [msgspec.json.decode(line, type=Witness) for line in data_file(name).read_bytes().splitlines()]
     except (FileNotFoundError, msgspec.DecodeError) as error:
-        raise PuzzleError(f"puzzle_sets/{name}: {error}; reinstall gym-open") from None
+        raise PuzzleError(f"puzzles/data/{name}: {error}; reinstall gym-open") from None
     expected = [(puzzle_id(task, split, i), puzzle.digest) for i, puzzle in enumerate(puzzles)]
     if [(witness.puzzle, witness.digest) for witness in witnesses] != expected:
-        raise PuzzleError(f"puzzle_sets/{name}: ids or digests are not those of the puzzles; reinstall gym-open")
+        raise PuzzleError(f"puzzles/data/{name}: ids or digests are not those of the puzzles; reinstall gym-open")
     return tuple(witnesses)
 
 

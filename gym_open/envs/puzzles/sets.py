@@ -23,7 +23,7 @@ def puzzle_id(task: Task, split: Split, index: int) -> str:
 
 def data_file(name: str) -> Traversable:
     """A file of the package's folder of puzzle sets."""
-    return resources.files("gym_open.envs") / "puzzle_sets" / name
+    return resources.files("gym_open.envs.puzzles") / "data" / name
 
 
 def set_name(task: Task, split: Split) -> str:
@@ -44,7 +44,7 @@ def puzzles_of(task: Task, split: Split) -> tuple[Puzzle, ...]:
     name = set_name(task, split)
     lines = data_file(name).read_bytes().splitlines()
     if len(lines) != PER_SET:
-        raise PuzzleError(f"puzzle_sets/{name}: expected {PER_SET} lines, got {len(lines)}; reinstall gym-open")
+        raise PuzzleError(f"puzzles/data/{name}: expected {PER_SET} lines, got {len(lines)}; reinstall gym-open")
     return tuple(Puzzle.from_json(line) for line in lines)
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from gym_open.config import Config, Count, Fraction, PositiveInt
 from gym_open.envs import puzzles
 from gym_open.envs.constants import CAPACITY, COLUMNS, ROWS
-from gym_open.envs.puzzle_sets import reserved_digests
 from gym_open.envs.puzzles import Cell, Column, Kind, Patch, Pen, Placement, Puzzle, PuzzleError, Row, Side, Task
+from gym_open.envs.puzzles.sets import reserved_digests
 
 ATTEMPTS = 200
 """Whole layouts tried before a request is called unsatisfiable."""

@@ -12,10 +12,10 @@ import mujoco
 import numpy as np
 
 from gym_open.envs import constants as c
-from gym_open.envs import scenery
-from gym_open.envs.bounciness import contact_reference
-from gym_open.envs.mjcf import indented, rgba, text
 from gym_open.envs.options import MeshObject, WorldOptions
+from gym_open.envs.physics import scenery
+from gym_open.envs.physics.bounciness import contact_reference
+from gym_open.envs.physics.mjcf import indented, rgba, text
 
 SPHERES = ("agent", "yellow", "green", "push")
 
@@ -178,7 +178,7 @@ def _built_in(kind: str, options: WorldOptions) -> _Kind:
 
 
 def _mesh_kind(mesh: MeshObject) -> _Kind:
-    from gym_open.envs.meshes import mesh_shape  # loads libraries that few worlds need
+    from gym_open.envs.physics.meshes import mesh_shape  # loads libraries that few worlds need
 
     shape = mesh_shape(mesh)
     pieces = [f"{mesh.kind}/{i}" for i in range(len(shape.pieces))]

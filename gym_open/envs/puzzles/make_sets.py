@@ -1,4 +1,4 @@
-"""Write the fixed puzzles: `python -m gym_open.envs.make_puzzle_sets FOLDER`.
+"""Write the fixed puzzles: `python -m gym_open.envs.puzzles.make_sets FOLDER`.
 
 The same bytes come out on every machine. The sets are frozen: this stays as the proof of where they come from.
 """
@@ -9,9 +9,9 @@ from pathlib import Path
 
 from gym_open import seeding
 from gym_open.artefacts import canonical_json
-from gym_open.envs.generators import draw_layout
-from gym_open.envs.puzzle_sets import DIGESTS, PER_SET, SPLITS, set_name
 from gym_open.envs.puzzles import TASKS
+from gym_open.envs.puzzles.generators import draw_layout
+from gym_open.envs.puzzles.sets import DIGESTS, PER_SET, SPLITS, set_name
 
 SEED = 2021
 """Year of the paper."""

@@ -3,7 +3,7 @@
 import numpy as np
 
 from gym_open.envs import constants as c
-from gym_open.envs.mjcf import box, indented, text
+from gym_open.envs.physics.mjcf import box, indented, text
 
 PARKING_Y = -30.0
 """Parked things stand beyond this y, far behind the camera and out of the table's reach."""

@@ -11,8 +11,7 @@ import numpy as np
 
 from gym_open.envs import constants as c
 from gym_open.envs.jit import compiled
-from gym_open.envs.model import kind_of
-from gym_open.envs.raycast import (
+from gym_open.envs.look.raycast import (
     BOX,
     MESH,
     SPHERE,
@@ -24,6 +23,7 @@ from gym_open.envs.raycast import (
     paint,
     square_camera,
 )
+from gym_open.envs.physics.model import kind_of
 
 _GEOM = mujoco.mjtGeom
 _FORMS = {int(_GEOM.mjGEOM_SPHERE): SPHERE, int(_GEOM.mjGEOM_BOX): BOX, int(_GEOM.mjGEOM_MESH): MESH}
