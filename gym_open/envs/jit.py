@@ -21,8 +21,9 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     except RuntimeError:  # no folder to cache in
         numba.core.config.CACHE_DIR = str(Path(tempfile.gettempdir()) / "gym-open-numba")  # pyright: ignore[reportAttributeAccessIssue]
         dispatcher = _compile(function)
-    # Numba makes it anew when the function's own file changes. But what it calls in other files is in it, too.
-    dispatcher._cache._cache_file._source_stamp = source_digest(Path(__file__).parent)  # noqa: SLF001
+    # Numba makes it anew when the function's own file changes. But what it calls in other files is in it, too, and what
+    # was kept cannot even be read once a type in it has moved. Another version is left unread, and overwritten.
+    dispatcher._cache._cache_file._version = f"{numba.__version__} {source_digest(Path(__file__).parent)}"  # noqa: SLF001
     return dispatcher
 
 
@@ -32,6 +33,10 @@ def _compile(function: Callable[..., Any]) -> Any:
 
 @functools.cache
 def source_digest(folder: Path) -> str:
-    """SHA-256 in hex of the files of a folder that hold compiled code."""
-    texts = [path.read_bytes() for path in sorted(folder.rglob("*.py"))]
-    return hashlib.sha256(b"".join(text for text in texts if b"@compiled" in text or b"intrinsic(" in text)).hexdigest()
+    """SHA-256 in hex of the files under a folder that hold compiled code, and of where they are."""
+    digest = hashlib.sha256()
+    for path in sorted(folder.rglob("*.py")):
+        text = path.read_bytes()
+        if b"@compiled" in text or b"intrinsic(" in text:
+            digest.update(path.relative_to(folder).as_posix().encode() + b"\n" + text)
+    return digest.hexdigest()

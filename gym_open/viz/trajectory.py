@@ -100,7 +100,7 @@ def _log_objects(rec: rr.RecordingStream, stream: Stream, span: Span, numbers: n
         moving = archetype.columns(centers=centres, quaternions=quaternions)
         rec.send_columns(entity, at, moving.partition([len(there)] * count))
         fixed = archetype.columns(
-            half_sizes=np.tile(np.float32(half_size), (len(there), 1)),
+            half_sizes=np.tile(np.array(half_size, np.float32), (len(there), 1)),
             colors=[c.COLOUR[kind]] * len(there),
             labels=[name for _, name in names],
             fill_mode=[rr.components.FillMode.Solid] * len(there),

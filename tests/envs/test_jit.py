@@ -35,6 +35,22 @@ def test_a_change_of_what_is_called_in_another_file_is_noticed(tmp_path: Path) -
     assert run(tmp_path) == "2\n"
 
 
+def test_a_type_that_moved_is_no_obstacle(tmp_path: Path) -> None:
+    """What numba keeps names the modules of the types in it, and it cannot read that where one is gone."""
+    caller = CALLER.replace("import called", "import called, Pair").replace("caller()", "caller(Pair(1))")
+    caller = caller.replace("def caller(Pair(1))", "def caller(pair)").replace(
+        "return called()", "return called() + pair.one"
+    )
+    typed = "from typing import NamedTuple\n\n\nclass Pair(NamedTuple):\n    one: int\n\n\n" + CALLED.format(1)
+    (tmp_path / "caller.py").write_text(caller)
+    (tmp_path / "called.py").write_text(typed)
+    assert [run(tmp_path), run(tmp_path)] == ["2\n", "2\n"]
+    (tmp_path / "called.py").rename(tmp_path / "moved.py")
+    (tmp_path / "kept.py").write_text(caller.replace("from called", "from moved"))
+    (tmp_path / "kept.py").replace(tmp_path / "caller.py")
+    assert run(tmp_path) == "2\n"
+
+
 def test_only_compiled_sources_count(tmp_path: Path) -> None:
     digests = []
     for name, text in (("a.py", "@compiled"), ("b.py", "plain"), ("b.py", "other"), ("a.py", "@compiled\n")):
