@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 from gymnasium import spaces
 
+from gym_open.config import check
 from gym_open.envs import constants as c
 from gym_open.envs.options import WorldOptions
 from gym_open.envs.puzzles import Puzzle, PuzzleError, Task
@@ -75,6 +76,7 @@ class OpenEnv(gymnasium.Env[Any, np.int64]):
 
     Raises:
         UsageError: if an argument is none of its choices.
+        ConfigError: if a value in `sandbox` or `world` is of another type or out of its bounds.
         MeshError: if a mesh of the world's options cannot be used.
     """
 
@@ -101,11 +103,12 @@ class OpenEnv(gymnasium.Env[Any, np.int64]):
         _check_choice("render_look", render_look, get_args(Look))
         self.task: Task = task
         self.render_mode = render_mode
-        self.world = World(world)
+        # Built in Python, a configuration's types and bounds were not looked at yet.
+        self.world = World(check(world, source="world") if world else None)
         self.observation_space = _observation_space(self.world, observation)
         self.action_space = spaces.Discrete(c.N_ACTIONS)
         self._judged: Task = task if rewards else "sandbox"
-        self._sandbox = sandbox or SandboxConfig()
+        self._sandbox = check(sandbox, source="sandbox") if sandbox else SandboxConfig()
         self._handsome = render_look == "handsome"
         self._render_size = render_size
         self._renderer: Any = None

@@ -18,7 +18,7 @@ from gym_open.envs.puzzles import TASKS, Patch, Pen, Placement, Puzzle, PuzzleEr
 from gym_open.envs.puzzles.generators import SandboxConfig, sample_puzzle
 from gym_open.envs.puzzles.sets import test_puzzles as fixed_puzzles
 from gym_open.envs.tasks import step_budget
-from gym_open.errors import UsageError
+from gym_open.errors import ConfigError, UsageError
 
 EAST, NORTH, WEST, SOUTH = 1, 3, 5, 7
 
@@ -185,6 +185,13 @@ def test_the_handsome_picture_needs_opengl() -> None:
     assert (env.render() != first).any()
     env.close()
     env.close()
+
+
+def test_values_of_configurations_are_looked_at() -> None:
+    with pytest.raises(ConfigError, match=r"sandbox: key `meshes`: expected `array`, got .*ring"):
+        OpenEnv(sandbox=SandboxConfig(meshes={"ring": 2}))  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match=r"world: key `image_size`: expected `int`, got 84.5"):
+        OpenEnv(world=WorldOptions(image_size=84.5))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
