@@ -190,7 +190,7 @@ def test_the_handsome_picture_needs_opengl() -> None:
 def test_values_of_configurations_are_looked_at() -> None:
     with pytest.raises(ConfigError, match=r"sandbox: key `meshes`: expected `array`, got .*ring"):
         OpenEnv(sandbox=SandboxConfig(meshes={"ring": 2}))  # type: ignore[arg-type]
-    with pytest.raises(ConfigError, match=r"world: key `image_size`: expected `int`, got 84.5"):
+    with pytest.raises(ConfigError, match=r"world: key `image_size`: expected `int`, got `float`, got 84.5"):
         OpenEnv(world=WorldOptions(image_size=84.5))  # type: ignore[arg-type]
 
 
