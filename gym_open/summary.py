@@ -27,8 +27,10 @@ def score_table(scores: Mapping[str, Path]) -> Table:
     first = read_json(next(iter(scores.values())) / "scores.json")
     title = f"{first['task']}: the same {first['puzzles']} {first['split']} puzzles for everyone"
     table = Table(title=title, title_justify="left")
-    for name in ("agent", "A-Success (95%)", "return", "actions", "trained", "task-free"):
-        table.add_column(name, justify="left" if name in ("agent", "task-free") else "right", no_wrap=True)
+    table.add_column("agent", overflow="fold")
+    for name in ("A-Success (95%)", "return", "actions", "trained"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("task-free", overflow="fold")
     for name, path in scores.items():
         record = read_json(path / "scores.json")
         table.add_row(
