@@ -22,7 +22,8 @@ from rich.table import Table
 
 from gym_open.envs import constants as c
 from gym_open.envs.env import OpenEnv
-from gym_open.envs.look.gl import OpenGLError, open_renderer
+from gym_open.envs.look.backend import OpenGLError
+from gym_open.envs.look.gl import open_renderer
 from gym_open.envs.puzzles import TASKS, Puzzle
 from gym_open.envs.puzzles.generators import sample_puzzle
 from gym_open.envs.puzzles.sets import test_puzzles

@@ -15,6 +15,7 @@ import gym_open
 from gym_open.cli import stages, world
 from gym_open.cli.base import Command
 from gym_open.config import check, load
+from gym_open.envs.look.backend import check_backend
 from gym_open.errors import GymOpenError
 
 COMMANDS: dict[str, type[Command]] = {
@@ -49,6 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if name is None:
         return _unknown(words)
     try:
+        check_backend()
         _parse(name, words[len(name.split()) :]).run()
     except GymOpenError as error:
         print(f"error: {error}", file=sys.stderr)

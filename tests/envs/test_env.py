@@ -12,7 +12,7 @@ from gymnasium.utils.seeding import np_random
 import gym_open
 from gym_open.envs import constants as c
 from gym_open.envs.env import OpenEnv
-from gym_open.envs.look.gl import OpenGLError, find_backend
+from gym_open.envs.look.backend import OpenGLError, find_backend
 from gym_open.envs.options import ObjectOptions, WorldOptions
 from gym_open.envs.puzzles import TASKS, Patch, Pen, Placement, Puzzle, PuzzleError, Task, arranged
 from gym_open.envs.puzzles.generators import SandboxConfig, sample_puzzle

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gym_open.envs import constants as c
-from gym_open.envs.look import gl
+from gym_open.envs.look import backend, gl
 from gym_open.envs.look.renderer import Renderer
 from gym_open.envs.options import CameraOptions, ObjectOptions, WorldOptions
 from gym_open.envs.physics.model import fixed_model
@@ -16,7 +16,8 @@ from gym_open.envs.puzzles.sets import test_puzzles as fixed_puzzles
 from gym_open.envs.world import World
 
 needs_gl = pytest.mark.skipif(
-    gl.find_backend() is None, reason="no OpenGL here: on Debian, apt-get install libegl1 libopengl0 libgl1-mesa-dri"
+    backend.find_backend() is None,
+    reason="no OpenGL here: on Debian, apt-get install libegl1 libopengl0 libgl1-mesa-dri",
 )
 
 
@@ -128,18 +129,22 @@ def test_without_opengl_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch)
 
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     monkeypatch.setattr(ctypes, "CDLL", missing)
-    assert gl.find_backend() is None
-    with pytest.raises(gl.OpenGLError, match="apt-get install libegl1 libopengl0 libgl1-mesa-dri") as caught:
+    backend.check_backend()  # nothing is asked for: the physics needs none
+    assert backend.find_backend() is None
+    with pytest.raises(backend.OpenGLError, match="apt-get install libegl1 libopengl0 libgl1-mesa-dri") as caught:
         gl.open_renderer(fixed_model(), 64, 64)
     assert caught.value.exit_code == 1
+    monkeypatch.setenv("MUJOCO_GL", "egl")
+    with pytest.raises(backend.OpenGLError, match=r"MUJOCO_GL asks for 'egl'.*unset MUJOCO_GL"):
+        backend.check_backend()
 
 
 @needs_gl
 def test_a_picture_that_opengl_cannot_give_is_an_error_of_ours() -> None:
-    with pytest.raises(gl.OpenGLError, match="5000×64"):
+    with pytest.raises(backend.OpenGLError, match="5000×64"):
         gl.open_renderer(fixed_model(), 5000, 64)
 
 
 def test_what_is_set_in_the_environment_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(os.environ, "MUJOCO_GL", "osmesa")
-    assert gl.find_backend() == "osmesa"
+    assert backend.find_backend() == "osmesa"

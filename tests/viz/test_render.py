@@ -11,7 +11,7 @@ from PIL import Image
 
 from gym_open import artefacts
 from gym_open.envs import constants as c
-from gym_open.envs.look import gl
+from gym_open.envs.look import backend
 from gym_open.envs.puzzles import Placement, Puzzle, PuzzleError, arranged
 from gym_open.envs.puzzles.sets import test_puzzles as fixed_puzzles
 from gym_open.envs.world import World
@@ -20,7 +20,8 @@ from gym_open.evaluate.config import EvaluateConfig
 from gym_open.viz.render import contact_sheet, episode_video, random_actions, scored_actions
 
 needs_gl = pytest.mark.skipif(
-    gl.find_backend() is None, reason="no OpenGL here: on Debian, apt-get install libegl1 libopengl0 libgl1-mesa-dri"
+    backend.find_backend() is None,
+    reason="no OpenGL here: on Debian, apt-get install libegl1 libopengl0 libgl1-mesa-dri",
 )
 STRAIGHT = Puzzle("goal-seeking", arranged([Placement("agent", 8, 2), Placement("yellow", 8, 5)]))
 """The third move to the east touches the goal."""

@@ -1,34 +1,11 @@
-"""OpenGL for `mujoco.Renderer`: which library draws without a screen here, and what to install where none does."""
+"""A `mujoco.Renderer` on whatever OpenGL draws without a screen here."""
 
-import ctypes
-import os
 import sys
 
 import mujoco
 from mujoco.rendering.classic import gl_context
 
-from gym_open.errors import GymOpenError
-
-_LIBRARIES = {"egl": ("libEGL.so.1", "libOpenGL.so.0"), "osmesa": ("libOSMesa.so.8",)}
-_INSTALL = "on Debian and Ubuntu: apt-get install libegl1 libopengl0 libgl1-mesa-dri"
-
-
-class OpenGLError(GymOpenError):
-    """There is no OpenGL to draw with."""
-
-
-def find_backend() -> str | None:
-    """The value of MUJOCO_GL that draws without a screen here: what is set already, else what can be loaded."""
-    if backend := os.environ.get("MUJOCO_GL"):
-        return backend
-    for backend, libraries in _LIBRARIES.items():
-        try:
-            for library in libraries:
-                ctypes.CDLL(library)
-        except OSError:
-            continue
-        return backend
-    return None
+from gym_open.envs.look.backend import INSTALL, OpenGLError, find_backend
 
 
 def open_renderer(model: mujoco.MjModel, width: int, height: int) -> mujoco.Renderer:
@@ -46,13 +23,13 @@ def open_renderer(model: mujoco.MjModel, width: int, height: int) -> mujoco.Rend
     except OpenGLError:
         raise
     except Exception as error:  # each library fails in its own way
-        raise OpenGLError(f"OpenGL gives no picture of {width}×{height}: {error}; {_INSTALL}") from error
+        raise OpenGLError(f"OpenGL gives no picture of {width}×{height}: {error}; {INSTALL}") from error
 
 
 def _linux_context() -> type:
     backend = find_backend()
     if backend is None:
-        raise OpenGLError(f"no OpenGL library was found, which this picture needs; {_INSTALL}")
+        raise OpenGLError(f"no OpenGL library was found, which this picture needs; {INSTALL}")
     if backend == "egl":
         from mujoco.egl import GLContext
     elif backend == "osmesa":
