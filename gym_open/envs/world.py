@@ -33,6 +33,9 @@ class World:
         self.options = options or WorldOptions()
         self.inventory = m.inventory(self.options)
         """(N,) names of the movable bodies, in the order of their states."""
+        self._of_kind: dict[str, list[int]] = {}
+        for index, name in enumerate(self.inventory):
+            self._of_kind.setdefault(m.kind_of(name), []).append(index)
         self.model = m.build_model(self.options)
         self.data = mujoco.MjData(self.model)
         self.present = np.zeros(len(self.inventory), bool)
@@ -168,19 +171,18 @@ class World:
 
     def _chosen(self, puzzle: Puzzle) -> list[list[int]]:
         """For each placement, the bodies that it takes: one, or the light cubes of a stack."""
-        free: dict[str, list[int]] = {}
-        for index, name in enumerate(self.inventory):
-            free.setdefault(m.kind_of(name), []).append(index)
+        used = dict.fromkeys(self._of_kind, 0)
         chosen: list[list[int]] = []
         for item in puzzle.objects:
             kind, count = ("light", STACK_HEIGHT) if item.kind == "stack" else (item.kind, 1)
-            if len(free.get(kind, ())) < count:
-                have = sum(m.kind_of(name) == kind for name in self.inventory)
+            have, first = self._of_kind.get(kind, []), used.get(kind, 0)
+            if first + count > len(have):
                 raise PuzzleError(
-                    f"puzzle: more objects of kind {kind!r} than this world's {have}; "
+                    f"puzzle: more objects of kind {kind!r} than this world's {len(have)}; "
                     "give the world the mesh, or a greater `count` of it, in WorldOptions.meshes"
                 )
-            chosen.append([free[kind].pop(0) for _ in range(count)])
+            chosen.append(have[first : first + count])
+            used[kind] = first + count
         return chosen
 
     def _place_objects(self, puzzle: Puzzle, chosen: list[list[int]]) -> None:

@@ -125,14 +125,19 @@ class Scene:
         seen = [i for i in range(model.ngeom) if model.geom_group[i] < _UNSEEN_GROUP and model.geom_rgba[i, 3] > 0]
         # A body weld to the world stands still; a mocap body does until the next load; all others have a free joint.
         body = model.geom_bodyid
-        self._movers = [i for i in seen if model.body_dofnum[body[i]]]
+        movers = [i for i in seen if model.body_dofnum[body[i]]]
         self._pieces = [i for i in seen if model.body_mocapid[body[i]] >= 0]
         self._table = empty_picture(image_size)
-        fixed = [i for i in seen if i not in self._movers and i not in self._pieces]
+        fixed = [i for i in seen if i not in movers and i not in self._pieces]
         self._cast(fixed, np.zeros(len(fixed), np.int64), _STILL_POSE, self._table)
         self._still = empty_picture(image_size)
         self._picture = empty_picture(image_size)
-        self._drawing = self._drawing_of([], recolour_hits=False)
+        self._objects = np.array([self._object_of(i) for i in movers], np.int64)
+        self._parts_of_objects, self._shapes_of_objects = self._parts(movers, self._objects), self._shapes(movers)
+        for row, geom in enumerate(movers):
+            colour = self._parts_of_objects.colour[row]
+            colour[1] = c.HIT_COLOUR.get(kind_of(model.body(body[geom]).name), colour[0])
+        self._drawing = self._drawing_of(np.zeros(0, np.int64), recolour_hits=False)
 
     def load(self, data: mujoco.MjData, present: np.ndarray, *, recolour_hits: bool) -> None:
         """Cast what stands still in this puzzle, and note which objects move.
@@ -148,8 +153,7 @@ class Scene:
         placed = [i for i in self._pieces if (data.mocap_pos[mocap[body[i]]] != self._model.body_pos[body[i]]).any()]
         poses = np.concatenate([data.mocap_pos, data.mocap_quat], axis=1).ravel()
         self._cast(placed, mocap[body[placed]].astype(np.int64), poses, self._still)
-        movers = [i for i in self._movers if present[self._object_of(i)]]
-        self._drawing = self._drawing_of(movers, recolour_hits=recolour_hits)
+        self._drawing = self._drawing_of(present[self._objects].nonzero()[0], recolour_hits=recolour_hits)
 
     @property
     def drawing(self) -> Drawing:
@@ -176,12 +180,12 @@ class Scene:
         joint = self._model.body_jntadr[self._model.geom_bodyid[geom]]
         return int(self._model.jnt_qposadr[joint]) // 7
 
-    def _drawing_of(self, geoms: list[int], *, recolour_hits: bool) -> Drawing:
-        parts = self._parts(geoms, np.array([self._object_of(i) for i in geoms], np.int64))
-        for row, geom in enumerate(geoms if recolour_hits else []):
-            kind = kind_of(self._model.body(self._model.geom_bodyid[geom]).name)
-            parts.colour[row, 1] = c.HIT_COLOUR.get(kind, parts.colour[row, 0])
-        return Drawing(parts, self._shapes(geoms), self._triangles, self._camera, self._still, self._picture)
+    def _drawing_of(self, rows: np.ndarray, *, recolour_hits: bool) -> Drawing:
+        parts = Parts(*(array[rows] for array in self._parts_of_objects))
+        if not recolour_hits:
+            parts.colour[:, 1] = parts.colour[:, 0]
+        shapes = Shapes(*(array[rows] for array in self._shapes_of_objects))
+        return Drawing(parts, shapes, self._triangles, self._camera, self._still, self._picture)
 
     def _cast(self, geoms: list[int], carrier: np.ndarray, poses: np.ndarray, picture: Picture) -> None:
         shapes = self._shapes(geoms)
