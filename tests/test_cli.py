@@ -59,6 +59,21 @@ def test_wrong_use_ends_with_2_and_says_why(
     assert said in " ".join(capsys.readouterr().err.split())
 
 
+def test_a_shown_puzzles_record_can_be_copied(capsys: pytest.CaptureFixture[str]) -> None:
+    from gym_open.envs.puzzles import Puzzle
+    from gym_open.envs.puzzles.sets import puzzle_by_id
+
+    assert main(["puzzle", "show", "tool-use/017"]) == 0
+    (record,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("{"))
+    assert Puzzle.from_json(record) == puzzle_by_id("tool-use/017")
+
+
+def test_what_the_disk_refuses_is_an_error_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("")
+    assert main(["init", str(tmp_path / "file" / "workspace")]) == 1
+    assert "Not a directory" in capsys.readouterr().err
+
+
 def test_an_unknown_option_ends_with_2_and_a_suggestion(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         main(["collect", "--workspace", str(root), "--stepz", "5"])

@@ -49,12 +49,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     name = next((" ".join(words[:n]) for n in (2, 1) if " ".join(words[:n]) in COMMANDS), None)
     if name is None:
         return _unknown(words)
+    return _run(name, words[len(name.split()) :])
+
+
+def _run(name: str, words: list[str]) -> int:
     try:
         check_backend()
-        _parse(name, words[len(name.split()) :]).run()
+        _parse(name, words).run()
     except GymOpenError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
+    except OSError as error:
+        print(f"error: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)
+        return 1
     except KeyboardInterrupt:
         print("stopped; the same command goes on from the last checkpoint", file=sys.stderr)
         return 130

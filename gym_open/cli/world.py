@@ -36,8 +36,10 @@ class PuzzleShow(Command):
     def run(self) -> None:
         """Show it."""
         from gym_open.envs.puzzle_report import show
+        from gym_open.envs.puzzles.sets import puzzle_by_id
 
         out.print(show(self.puzzle))
+        print(f"\n{puzzle_by_id(self.puzzle).to_json().decode()}\n")  # whole on one line, to be copied
         out.print(f"  next: gym-open render video {self.puzzle} --save solution.mp4", highlight=False)
 
 
@@ -204,7 +206,7 @@ class Play(Command):
         config = HumanConfig(
             task=self.task, split=self.split, puzzles=self.puzzles, player=self.player, picture=self.picture
         )
-        name = f"{self.task}-{self.player}"
+        name = f"{self.task}-{self.player}".replace("/", "-")
         folder = self.save or workspace.check(self.workspace) / "evaluate/scores" / name
         try:
             made = play_as_person(config, folder)

@@ -20,6 +20,7 @@ from gym_open.errors import UsageError
 ObservationMode = Literal["image", "dict"]
 Look = Literal["observation", "handsome"]
 
+_LARGEST_RENDER = 4096
 # Far beyond what was ever seen on the table; a state outside is clipped.
 _STATE_BOUND = np.repeat([5.0, 1.0, 100.0, 10_000.0], [3, 4, 3, 3]).astype(np.float32)
 """(13,): position in m, quaternion, velocity in m/s, angular velocity in rad/s."""
@@ -73,6 +74,7 @@ class OpenEnv(gymnasium.Env[Any, np.int64]):
         render_mode: None, or "rgb_array".
         render_look: what `render` draws: the observation's image, or one for people, which needs OpenGL.
         render_size: width and height of the latter in pixels.
+        max_episode_steps: steps after which an episode is truncated, should the task's budget not end it before.
 
     Raises:
         UsageError: if an argument is none of its choices.
@@ -96,12 +98,21 @@ class OpenEnv(gymnasium.Env[Any, np.int64]):
         render_mode: str | None = None,
         render_look: Look = "observation",
         render_size: tuple[int, int] = (640, 480),
+        max_episode_steps: int | None = None,
     ) -> None:
         _check_choice("task", task, get_args(Task))
         _check_choice("observation", observation, get_args(ObservationMode))
         _check_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         _check_choice("render_look", render_look, get_args(Look))
+        for name, value, kind in (("sandbox", sandbox, SandboxConfig), ("world", world, WorldOptions)):
+            if value is not None and not isinstance(value, kind):
+                raise UsageError(f"{name}: expected {kind.__name__} or None, got {type(value).__name__}")
+        if not all(isinstance(edge, int) and 1 <= edge <= _LARGEST_RENDER for edge in render_size):
+            raise UsageError(f"render_size: expected two whole numbers from 1 to {_LARGEST_RENDER}, got {render_size}")
+        if max_episode_steps is not None and max_episode_steps < 1:
+            raise UsageError(f"max_episode_steps: expected 1 or more, got {max_episode_steps}")
         self.task: Task = task
+        self._max_steps = max_episode_steps
         self.render_mode = render_mode
         # Built in Python, a configuration's types and bounds were not looked at yet.
         self.world = World(check(world, source="world") if world else None)
@@ -113,6 +124,15 @@ class OpenEnv(gymnasium.Env[Any, np.int64]):
         self._render_size = render_size
         self._renderer: Any = None
         self._begin_count()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the handsome look's renderer, which belongs to a thread: a copy opens its own."""
+        return {**self.__dict__, "_renderer": None}
+
+    @property
+    def ended(self) -> bool:
+        """Whether the episode is over."""
+        return self._terminated or self._truncated
 
     @property
     def puzzle(self) -> Puzzle:
@@ -147,13 +167,14 @@ class OpenEnv(gymnasium.Env[Any, np.int64]):
 
     def score(self, outcome: StepOutcome) -> tuple[float, bool, bool]:
         """Count a step that was taken: its reward, and whether the episode is terminated or truncated."""
-        if self._terminated or self._truncated:
+        if self.ended:
             return 0.0, self._terminated, self._truncated
         verdict = judge(self._judged, self.puzzle, self._hits, outcome)
         self._steps += 1
         self._hits += len(outcome.hits)
         self._return += verdict.reward
         out_of_budget = rewarded(self._judged) and self._steps >= step_budget(self._judged)
+        out_of_budget |= self._max_steps is not None and self._steps >= self._max_steps
         self._terminated, self._truncated = verdict.terminated, out_of_budget and not verdict.terminated
         return verdict.reward, self._terminated, self._truncated
 
@@ -214,7 +235,14 @@ class OpenEnv(gymnasium.Env[Any, np.int64]):
         )
 
     def restore(self, snapshot: EnvSnapshot) -> Any:
-        """Go back to a snapshot and return the observation there."""
+        """Go back to a snapshot and return the observation there.
+
+        Raises:
+            PuzzleError: if it is of another task.
+            ArtefactError: if it is of another world.
+        """
+        if snapshot.puzzle.task != self.task:
+            raise PuzzleError(f"snapshot: of task {snapshot.puzzle.task!r}, given to a {self.task!r} environment")
         self._load(snapshot.puzzle)
         self.world.restore_state(np.array(snapshot.world))
         self._steps, self._return, self._hits = snapshot.steps, snapshot.episode_return, snapshot.hits

@@ -2,6 +2,8 @@
 
 import functools
 import hashlib
+import os
+import stat
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -14,12 +16,16 @@ import numba.core.config
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile on first call, without the interpreter lock, and keep the machine code for later processes.
 
-    Where neither the package's folder nor the user's cache folder can be written, a temporary one is used.
+    Where neither the package's folder nor the user's cache folder can be written, a temporary one of the user's own is
+    used; where that is not safe, nothing is kept.
     """
     try:
         dispatcher: Any = _compile(function)
     except RuntimeError:  # no folder to cache in
-        numba.core.config.CACHE_DIR = str(Path(tempfile.gettempdir()) / "gym-open-numba")  # pyright: ignore[reportAttributeAccessIssue]
+        own = _own_folder()
+        if own is None:
+            return _compile(function, cache=False)
+        numba.core.config.CACHE_DIR = str(own)  # pyright: ignore[reportAttributeAccessIssue]
         dispatcher = _compile(function)
     # Numba makes it anew when the function's own file changes. But what it calls in other files is in it, too, and what
     # was kept cannot even be read once a type in it has moved. Another version is left unread, and overwritten.
@@ -27,8 +33,21 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     return dispatcher
 
 
-def _compile(function: Callable[..., Any]) -> Any:
-    return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+def _compile(function: Callable[..., Any], *, cache: bool = True) -> Any:
+    return numba.njit(cache=cache, nogil=True, error_model="numpy")(function)
+
+
+def _own_folder() -> Path | None:
+    """A temporary folder that no one else can write to: what is read from it is executed. None if there is none."""
+    user = os.getuid() if hasattr(os, "getuid") else 0
+    folder = Path(tempfile.gettempdir()) / f"gym-open-numba-{user}"
+    try:
+        folder.mkdir(mode=0o700, exist_ok=True)
+        found = folder.lstat()
+    except OSError:
+        return None
+    safe = stat.S_ISDIR(found.st_mode) and found.st_uid == user and not found.st_mode & 0o077
+    return folder if safe else None
 
 
 @functools.cache

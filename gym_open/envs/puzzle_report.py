@@ -40,7 +40,7 @@ _MESH = "M"
 
 
 def show(name: str) -> RenderableType:
-    """The fixed puzzle with this id: its cells seen from above, its record, its digest and its witness.
+    """The fixed puzzle with this id: its cells seen from above, its digest and its witness.
 
     Raises:
         PuzzleError: if no fixed puzzle has this id.
@@ -54,7 +54,6 @@ def show(name: str) -> RenderableType:
     facts.add_row("digest", puzzle.digest)
     actions = " ".join(map(str, witness.actions))
     facts.add_row("witness", f"{''.join(ARROWS[a] for a in witness.actions)}  (actions {actions})")
-    facts.add_row("record", puzzle.to_json().decode())
     return Group(cell_map(puzzle), Text(), facts)
 
 

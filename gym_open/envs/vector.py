@@ -4,6 +4,7 @@ A thread takes a few worlds at a time, and steps and draws them in one compiled 
 matter of timing; what comes out is not, since no world touches another.
 """
 
+import operator
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -34,7 +35,7 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
 
     Args:
         num_envs: how many.
-        task: as `OpenEnv`'s, and so are the next six arguments.
+        task: as `OpenEnv`'s, and so are the next eight arguments.
         sandbox: see there.
         world: see there.
         observation: see there.
@@ -42,6 +43,7 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         render_mode: see there.
         render_look: see there.
         render_size: see there.
+        max_episode_steps: see there.
         autoreset_mode: what follows the end of an episode, see Gymnasium's `AutoresetMode`.
         copy: whether what `reset` and `step` return is the caller's to keep. Without it, the same arrays are written
             again in the next step, and no new ones are made.
@@ -63,6 +65,7 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         render_mode: str | None = None,
         render_look: Look = "observation",
         render_size: tuple[int, int] = (640, 480),
+        max_episode_steps: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         copy: bool = True,
         threads: int | None = None,
@@ -83,6 +86,7 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
                 render_mode=render_mode,
                 render_look=render_look,
                 render_size=render_size,
+                max_episode_steps=max_episode_steps,
             )
             for _ in range(num_envs)
         ]
@@ -96,7 +100,6 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         self._present = np.zeros((num_envs, len(one.world.inventory)), bool)
         self._rewards = np.zeros(num_envs)
         self._terminations, self._truncations = np.zeros(num_envs, bool), np.zeros(num_envs, bool)
-        self._ended = np.zeros(num_envs, bool)
         self._actions = np.zeros(num_envs, np.int64)
         self._infos = _empty_infos(num_envs, len(one.world.inventory))
         self._last: list[tuple[Any, dict[str, Any]] | None] = [None] * num_envs
@@ -121,7 +124,10 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
             ValueError: if there is not one seed, or puzzle, or place in the mask for each world.
             ResetNeeded: if the first reset leaves a world out.
             PuzzleError: if an option is refused.
+            ClosedEnvironmentError: after `close`.
         """
+        if self.closed:
+            raise ClosedEnvironmentError("the worlds are closed: make them anew")
         rest = dict(options or {})
         mask = np.asarray(rest.pop("reset_mask", self._everyone))
         puzzles = rest.pop("puzzles", None)
@@ -141,7 +147,7 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
 
         self._in_threads(work)
         self._begun = True
-        self._terminations[mask], self._truncations[mask], self._ended[mask] = False, False, False
+        self._terminations[mask], self._truncations[mask] = False, False
         return self._seen(), self._told(mask)
 
     def step(self, actions: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
@@ -154,15 +160,13 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         """
         self._actions[:] = self._checked(actions)
         if self.autoreset_mode == AutoresetMode.NEXT_STEP:
-            self._actions[self._ended] = -1
+            self._actions[self._ended()] = -1
         self._in_threads(self._play)
-        np.logical_or(self._terminations, self._truncations, out=self._ended)
         infos = self._told(self._everyone)
         if self.autoreset_mode == AutoresetMode.SAME_STEP:
-            for i in self._ended.nonzero()[0].tolist():
+            for i in (self._terminations | self._truncations).nonzero()[0].tolist():
                 observation, info = self._last[i] or (None, {})
                 infos = self._add_info(infos, {"final_obs": observation, "final_info": info}, i)
-            self._ended[:] = False
         rewards, terminations = self._kept(self._rewards), self._kept(self._terminations)
         return self._seen(), rewards, terminations, self._kept(self._truncations), infos
 
@@ -212,8 +216,12 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         self._infos["object_state"][:] = self._fleet.boards["states"]
         infos: dict[str, Any] = {}
         for name, values in self._infos.items():
-            infos[name], infos[f"_{name}"] = self._kept(values), self._kept(mask)
+            infos[name], infos[f"_{name}"] = self._kept(values), mask.copy()
         return infos
+
+    def _ended(self) -> np.ndarray:
+        """(N,) whose episode is over: the environments know, also after one was restored."""
+        return np.array([env.ended for env in self.envs])
 
     def _kept(self, values: Any) -> Any:
         if not self.copy:
@@ -249,8 +257,8 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
             raise ClosedEnvironmentError("the worlds are closed: make them anew")
         if not self._begun:
             raise ResetNeeded("the worlds are empty: call reset before step")
-        if self.autoreset_mode == AutoresetMode.DISABLED and self._ended.any():
-            ended = self._ended.nonzero()[0].tolist()
+        if self.autoreset_mode == AutoresetMode.DISABLED and (over := self._ended()).any():
+            ended = over.nonzero()[0].tolist()
             raise ResetNeeded(f'worlds {ended} have ended: reset them with options={{"reset_mask": …}} before step')
         given = np.asarray(actions)
         if given.shape != (self.num_envs,) or given.dtype.kind not in "iu":
@@ -283,4 +291,6 @@ def _empty_infos(n: int, objects: int) -> dict[str, np.ndarray]:
 def _seeds(seed: int | Sequence[int | None] | None, n: int) -> list[int | None]:
     if seed is None:
         return [None] * n
-    return list(seed) if isinstance(seed, Sequence) else [int(seed) + i for i in range(n)]
+    if isinstance(seed, (Sequence, np.ndarray)):
+        return [None if one is None else operator.index(one) for one in seed]
+    return [operator.index(seed) + i for i in range(n)]

@@ -1,6 +1,7 @@
 """One world: a puzzle's layout on a compiled model, moved by the agent's actions and seen by its camera."""
 
 import functools
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -41,8 +42,14 @@ class World:
         self.present = np.zeros(len(self.inventory), bool)
         """(N,) which inventory objects are on the table."""
         self._puzzle: Puzzle | None = None
+        self._recolour_hits = False
         self.stepper = Stepper(self.model, self.data, self.inventory)
         self._scene = Scene(self.model, self.options.image_size)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy, or what is unpickled, is built anew: compiled code holds addresses of this world's own memory."""
+        state = None if self._puzzle is None else (self._puzzle, self._recolour_hits, self.save_state())
+        return _rebuilt, (self.options, state)
 
     @property
     def puzzle(self) -> Puzzle:
@@ -62,7 +69,7 @@ class World:
             PuzzleError: if the puzzle has a mesh that this world's options do not, or more of it.
         """
         indices = self._chosen(puzzle)
-        self._puzzle = puzzle
+        self._puzzle, self._recolour_hits = puzzle, recolour_hits
         self.stepper.load(c.cell_centre(puzzle.patch.row, puzzle.patch.column) if puzzle.patch else None)
         self.present[:] = False
         mujoco.mj_resetData(self.model, self.data)
@@ -149,7 +156,7 @@ class World:
         """Go back, bit for bit, to a state saved from a world with the same puzzle.
 
         Raises:
-            ArtefactError: if the state has another size: it comes from another version of the model.
+            ArtefactError: if the state is damaged, or has another size: it comes from another version of the model.
         """
         size = mujoco.mj_stateSize(self.model, _STATE)
         n = len(self.inventory)
@@ -157,9 +164,12 @@ class World:
         if state.shape != (expected,):
             found = f"expected {expected} numbers, got shape {state.shape}"
             raise ArtefactError(f"world state: {found}; it was saved by another version of the world, start anew")
+        asleep = state[size : size + n]
+        if not ((asleep == np.round(asleep)) & (asleep >= AWAKE) & (asleep < n)).all():
+            raise ArtefactError("world state: who sleeps is no list of objects; it was damaged, start anew")
         mujoco.mj_resetData(self.model, self.data)
         mujoco.mj_setState(self.model, self.data, state[:size], _STATE)
-        self._wake_and_sleep(state[size : size + n].astype(np.int32), state[:size])
+        self._wake_and_sleep(asleep.astype(np.int32), state[:size])
         self.stepper.hit[list(GOAL_INDEX.values())] = state[size + n :] > 0
 
     def _wake_and_sleep(self, asleep: np.ndarray, state: np.ndarray | None = None) -> None:
@@ -210,6 +220,15 @@ class World:
             mocap = self.model.body(name).mocapid[0]
             self.data.mocap_pos[mocap] = place
             self.data.mocap_quat[mocap] = np.cos(angle / 2), 0, 0, np.sin(angle / 2)
+
+
+def _rebuilt(options: WorldOptions, state: tuple[Puzzle, bool, np.ndarray] | None) -> World:
+    world = World(options)
+    if state is not None:
+        puzzle, recolour_hits, saved = state
+        world.load(puzzle, recolour_hits=recolour_hits)
+        world.restore_state(saved)
+    return world
 
 
 @functools.lru_cache(maxsize=64)

@@ -200,6 +200,9 @@ def test_values_of_configurations_are_looked_at() -> None:
         ({"task": "maze"}, "task: expected one of 'sandbox', .*, got 'maze'"),
         ({"observation": "state"}, "observation: expected one of 'image', 'dict', got 'state'"),
         ({"render_mode": "human"}, "render_mode: expected one of None, 'rgb_array', got 'human'"),
+        ({"render_size": (0, 480)}, r"render_size: .* from 1 to 4096, got \(0, 480\)"),
+        ({"max_episode_steps": 0}, "max_episode_steps: expected 1 or more, got 0"),
+        ({"world": {"image_size": 64}}, "world: expected WorldOptions or None, got dict"),
         ({"render_look": "pretty"}, "render_look: expected one of 'observation', 'handsome', got 'pretty'"),
     ],
 )

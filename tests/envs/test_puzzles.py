@@ -209,7 +209,7 @@ def test_digest_is_of_the_layout_alone() -> None:
         (SandboxConfig(agent_cell=(8, 4), yellow_cells=((8, 4),)), r"two objects on cell \(8, 4\)"),
         (SandboxConfig(agent_cell=(0, 8)), "cut off by the table's corner"),
         (SandboxConfig(agent_cell=(1, 4), pen_probability=1), "no pen has cell .1, 4. inside"),
-        (SandboxConfig(agent_cell=(16, 4), pen_probability=0), "sticks out of the table"),
+        (SandboxConfig(agent_cell=(16, 4), pen_probability=0), "Expected `int` <= 15 - at .*row"),
         (SandboxConfig(meshes=("no name",)), "no kind 'mesh:no name'"),
         (SandboxConfig(yellow=(3, 3), green=(3, 3), radius=1), "no sandbox layout found"),
     ],
@@ -354,6 +354,22 @@ def test_no_such_kinds(kind: str, turned: bool) -> None:
 def test_meshes_come_last_in_order_of_name() -> None:
     mixed = [Placement("mesh:b", 1, 1), Placement("mesh:a", 9, 1), Placement("stack", 3, 3), AGENT]
     assert [item.kind for item in arranged(mixed)] == ["agent", "stack", "mesh:a", "mesh:b"]
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"task": "nosuch"}, "nosuch"),
+        ({"objects": (Placement("agent", 5.5, 5),)}, r"Expected `int`, got `float` - at `\$\[1\]\[0\].row`"),  # type: ignore[arg-type]
+        ({"objects": (Placement("agent", 16, 5),)}, "Expected `int` <= 15"),
+        ({"pen": Pen(9, 4, "up")}, "up"),  # type: ignore[arg-type]
+        ({"patch": Patch(5, "4")}, "Expected `int`, got `str`"),  # type: ignore[arg-type]
+    ],
+)
+def test_what_is_built_in_python_is_held_to_the_same_types(fields: dict, message: str) -> None:
+    whole = {"task": "sandbox", "objects": (Placement("agent", 5, 5),)}
+    with pytest.raises(PuzzleError, match=message):
+        Puzzle(**(whole | fields))
 
 
 def test_unsorted_and_malformed_records_are_refused() -> None:

@@ -1,5 +1,6 @@
 """The ray caster against closed forms and brute force over all pixels."""
 
+import os
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -223,4 +224,23 @@ def test_without_a_cache_folder_it_still_compiles(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(numba_config, "CACHE_DIR", "")
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     assert jit.compiled(next_number)(2) == 3
-    assert list((tmp_path / "gym-open-numba").rglob("*.nbc"))
+    (own,) = tmp_path.iterdir()
+    assert own.stat().st_mode & 0o077 == 0  # what is read from it is executed
+    assert list(own.rglob("*.nbc"))
+
+
+def test_a_folder_that_others_can_write_to_is_not_read_from(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    real: Any = numba.njit
+
+    def refusing(**options: Any) -> Any:
+        if options["cache"]:
+            raise RuntimeError("cannot cache function: no locator available")
+        return real(**options)
+
+    monkeypatch.setattr(numba, "njit", refusing)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    folder = tmp_path / f"gym-open-numba-{os.getuid()}"
+    folder.mkdir()
+    folder.chmod(0o777)
+    assert jit.compiled(next_number)(2) == 3
+    assert not list(folder.iterdir())

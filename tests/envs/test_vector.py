@@ -126,6 +126,31 @@ def test_its_environments_can_be_put_elsewhere() -> None:
         assert [ours[1][1], ours[2][1], ours[3][1]] == list(theirs[1:4])
 
 
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED])
+def test_an_ended_world_that_is_put_back_plays_on(mode: AutoresetMode) -> None:
+    vector = OpenVectorEnv(2, "goal-seeking", max_episode_steps=2, autoreset_mode=mode)
+    vector.reset(seed=0)
+    begun = [env.snapshot() for env in vector.envs]
+    assert [vector.step(np.array([0, 0]))[3].all() for _ in range(2)] == [False, True]
+    for env, snapshot in zip(vector.envs, begun, strict=True):
+        env.restore(snapshot)
+    assert not vector.step(np.array([0, 0]))[3].any()
+    assert [env.puzzle for env in vector.envs] == [snapshot.puzzle for snapshot in begun]
+
+
+def test_a_step_limit_is_taken_as_gymnasium_gives_it() -> None:
+    vector = gymnasium.make_vec("gym_open/Sandbox-v1", num_envs=2, max_episode_steps=3)
+    vector.reset(seed=0)
+    assert [vector.step(np.array([0, 0]))[3].all() for _ in range(3)] == [False, False, True]
+
+
+def test_after_close_nothing_begins() -> None:
+    vector = OpenVectorEnv(2, "goal-seeking")
+    vector.close()
+    with pytest.raises(ClosedEnvironmentError, match="make them anew"):
+        vector.reset()
+
+
 def test_what_is_returned_is_the_callers_unless_it_is_asked_for_without_copies() -> None:
     kept, reused = OpenVectorEnv(2, "goal-seeking"), OpenVectorEnv(2, "goal-seeking", copy=False)
     for vector in (kept, reused):

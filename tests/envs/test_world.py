@@ -1,5 +1,8 @@
 """The physics: moves, pushes, bounces, friction, ramp and walls, against closed forms; exact save and restore."""
 
+import copy
+import pickle
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import mujoco
@@ -339,3 +342,28 @@ def test_the_model_is_the_text() -> None:
     assert tuple(name for name in names if name in m.INVENTORY) == m.INVENTORY
     for name in m.INVENTORY:
         assert model.body(name).mass[0] == c.MASS[m.kind_of(name)]
+
+
+@pytest.mark.parametrize("again", [copy.deepcopy, lambda world: pickle.loads(pickle.dumps(world))])
+def test_a_copy_is_a_world_of_its_own(again: Callable[[World], World]) -> None:
+    world = World()
+    assert again(world).object_state().shape == world.object_state().shape
+    world.load(fixed_puzzles("preferences")[3], recolour_hits=True)
+    for action in (1, 2, 3, 4):
+        world.step(action)
+    twin, before = again(world), world.object_state()
+    np.testing.assert_array_equal(twin.object_state(), before)
+    moved = [twin.step(action) for action in (5, 6, 7)]
+    np.testing.assert_array_equal(world.object_state(), before)
+    assert [world.step(action) for action in (5, 6, 7)] == moved
+    np.testing.assert_array_equal(twin.observe(), world.observe())
+    np.testing.assert_array_equal(twin.save_state(), world.save_state())
+
+
+def test_a_damaged_state_is_refused() -> None:
+    world = World()
+    world.load(fixed_puzzles("avoidance")[0])
+    state = world.save_state()
+    state[-len(world.inventory) :] = 1e8
+    with pytest.raises(ArtefactError, match="damaged"):
+        world.restore_state(state)

@@ -99,6 +99,7 @@ class Puzzle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     patch: Patch | None = None
 
     def __post_init__(self) -> None:
+        _check_types(self)
         check_puzzle(self)
 
     @property
@@ -121,6 +122,9 @@ class Puzzle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             return msgspec.json.decode(text, type=cls)
         except (msgspec.ValidationError, msgspec.DecodeError) as error:
             raise PuzzleError(f"not a puzzle: {error}; expected the JSON that Puzzle.to_json writes") from None
+
+
+_FIELDS = tuple[Task, tuple[Placement, ...], Pen | None, Patch | None]
 
 
 def arranged(objects: list[Placement]) -> tuple[Placement, ...]:
@@ -176,6 +180,15 @@ def _check_cells(objects: tuple[Placement, ...]) -> None:
             if cell in holder:
                 raise PuzzleError(f"puzzle: two objects on cell {cell}, {holder[cell]} and {name}; move one")
             holder[cell] = name
+
+
+def _check_types(puzzle: Puzzle) -> None:
+    """What is built in Python is held to the types and bounds that JSON is."""
+    fields = (puzzle.task, puzzle.objects, puzzle.pen, puzzle.patch)
+    try:
+        msgspec.convert(msgspec.to_builtins(fields), _FIELDS)
+    except (msgspec.ValidationError, TypeError) as error:
+        raise PuzzleError(f"puzzle: {error}; in the order task, objects, pen, patch") from None
 
 
 def _check_objects(puzzle: Puzzle) -> None:
