@@ -127,7 +127,7 @@ class Server:
         check_port(port, "port", least=0)
         if clients < 1:
             raise UsageError(f"clients: at least 1, got {clients}")
-        if idle_s <= 0:
+        if not 0 < idle_s < float("inf"):
             raise UsageError(f"idle_s: more than 0 seconds, got {idle_s:g}")
         if token is None and not is_loopback(host):
             raise UsageError(

@@ -383,7 +383,11 @@ def test_a_port_that_is_taken_is_named(server: Server) -> None:
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [({"clients": 0}, "clients: at least 1, got 0"), ({"idle_s": 0.0}, "idle_s: more than 0 seconds, got 0")],
+    [
+        ({"clients": 0}, "clients: at least 1, got 0"),
+        ({"idle_s": 0.0}, "idle_s: more than 0 seconds, got 0"),
+        ({"idle_s": float("nan")}, "idle_s: more than 0 seconds, got nan"),
+    ],
 )
 def test_wrong_arguments_of_the_server_are_named(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(UsageError, match=message):

@@ -65,6 +65,7 @@ def from_puzzle_config(puzzle_config: Mapping[str, Any], rng: np.random.Generato
             f"puzzle_config: touch_sphere is {yellow}, but there are {cells}; give as many or fewer cells"
         )
     _check_goals(config, yellow)
+    before = rng.bit_generator.state
     heavy, light = _split(config, rng)
     sandbox = SandboxConfig(
         yellow=(yellow, yellow),
@@ -84,6 +85,7 @@ def from_puzzle_config(puzzle_config: Mapping[str, Any], rng: np.random.Generato
     try:
         return sample_puzzle("sandbox", rng, sandbox)
     except PuzzleError as error:
+        rng.bit_generator.state = before  # what is refused leaves no trace
         raise PuzzleError(f"puzzle_config {dict(puzzle_config)}: {error}") from None
 
 
