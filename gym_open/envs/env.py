@@ -50,7 +50,8 @@ class OpenEnv(gymnasium.Env[Any, np.int64]):
     Each reset draws a new training puzzle, or takes `options={"puzzle": Puzzle}`. The sandbox pays nothing and never
     ends; the tasks are truncated at their budget.
 
-    An observation is the image, (84, 84, 3) uint8; with `observation="dict"` it is a dictionary of
+    An observation is the image, (84, 84, 3) uint8, or of the `image_size` in the world's options; with
+    `observation="dict"` it is a dictionary of
 
     - `image`: the same;
     - `object_state`: (N, 13) float32, a row for each object of the model: position (m), quaternion (scalar first),

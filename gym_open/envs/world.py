@@ -26,6 +26,8 @@ GOAL_INDEX = {name: i for i, name in enumerate(m.INVENTORY) if m.kind_of(name) i
 class World:
     """MuJoCo data of its own over a model that worlds with equal options share. Nothing happens before `load`.
 
+    Pictures are 84 pixels high and wide, or what the options' `image_size` says.
+
     Raises:
         MeshError: if a mesh of the options cannot be used.
     """

@@ -24,7 +24,8 @@ from gym_open.collect.config import CollectConfig
 from gym_open.collect.explore import Exploration, collect
 from gym_open.collect.pool import Pool, sample_pool
 from gym_open.config import to_dict
-from gym_open.envs.physics.model import fixed_model
+from gym_open.envs.options import WorldOptions
+from gym_open.envs.physics.model import build_model
 from gym_open.envs.puzzles.generators import SandboxConfig
 from gym_open.envs.puzzles.sets import reserved_digests
 from gym_open.envs.world import World
@@ -167,7 +168,7 @@ def test_figures_are_sensible(segments: list[Segment]) -> None:
         assert (segment.world_model_loss > 0).all()
         still = (segment.images[1:] == segment.images[:-1]).all(axis=(1, 2, 3))
         assert not segment.intrinsic_reward[still].any()
-        assert len(segment.object_names) == fixed_model().njnt  # every movable body has one free joint
+        assert len(segment.object_names) == build_model(WorldOptions()).njnt  # every movable body has one free joint
 
 
 def test_the_summary_agrees_with_the_logs(made: Path, logs: list[Log], segments: list[Segment]) -> None:

@@ -70,9 +70,9 @@ def test_equal_options_share_a_model_and_the_defaults_are_v1() -> None:
     light, heavy = ObjectOptions(mass=3), ObjectOptions(size=0.12)
     one = WorldOptions(objects={"light": light, "heavy": heavy})
     other = WorldOptions(objects={"heavy": heavy, "light": light})
-    assert m.build_model(one) is m.build_model(other) is not m.fixed_model()
-    assert m.build_model(WorldOptions(objects={"light": ObjectOptions()})) is m.fixed_model()
-    assert World().model is m.fixed_model()
+    assert m.build_model(one) is m.build_model(other) is not m.build_model(WorldOptions())
+    assert m.build_model(WorldOptions(objects={"light": ObjectOptions()})) is m.build_model(WorldOptions())
+    assert World().model is m.build_model(WorldOptions())
     stated = {
         kind: ObjectOptions(mass=c.MASS[kind], size=0.1, colour=c.COLOUR[kind], bounciness=0.6) for kind in c.MASS
     }

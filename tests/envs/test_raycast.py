@@ -15,7 +15,8 @@ from gym_open.envs import constants as c
 from gym_open.envs import jit
 from gym_open.envs.look.raycast import BOX, SPHERE, Camera, Shapes, Triangles, empty_picture, paint
 from gym_open.envs.look.scene import Parts, model_camera, place_parts
-from gym_open.envs.physics.model import fixed_model
+from gym_open.envs.options import WorldOptions
+from gym_open.envs.physics.model import build_model
 from gym_open.envs.puzzles import SIDES, Patch, Pen, Placement, Puzzle, arranged
 from gym_open.envs.puzzles.sets import test_puzzles as fixed_puzzles
 from gym_open.envs.world import World
@@ -24,7 +25,7 @@ NO_TRIANGLES = Triangles(np.zeros((0, 3, 3)), np.zeros((0, 3, 3)), np.zeros((0, 
 
 
 def observation_camera() -> Camera:
-    return model_camera(fixed_model(), c.IMAGE_SIZE)
+    return model_camera(build_model(WorldOptions()), c.IMAGE_SIZE)
 
 
 def on_screen(point: np.ndarray) -> np.ndarray:

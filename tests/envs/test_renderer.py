@@ -10,7 +10,7 @@ from gym_open.envs import constants as c
 from gym_open.envs.look import backend, gl
 from gym_open.envs.look.renderer import Renderer
 from gym_open.envs.options import CameraOptions, ObjectOptions, WorldOptions
-from gym_open.envs.physics.model import fixed_model
+from gym_open.envs.physics.model import build_model
 from gym_open.envs.puzzles import Pen, Placement, Puzzle, arranged
 from gym_open.envs.puzzles.sets import test_puzzles as fixed_puzzles
 from gym_open.envs.world import World
@@ -132,7 +132,7 @@ def test_without_opengl_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch)
     backend.check_backend()  # nothing is asked for: the physics needs none
     assert backend.find_backend() is None
     with pytest.raises(backend.OpenGLError, match="apt-get install libegl1 libopengl0 libgl1-mesa-dri") as caught:
-        gl.open_renderer(fixed_model(), 64, 64)
+        gl.open_renderer(build_model(WorldOptions()), 64, 64)
     assert caught.value.exit_code == 1
     monkeypatch.setenv("MUJOCO_GL", "egl")
     with pytest.raises(backend.OpenGLError, match=r"MUJOCO_GL asks for 'egl'.*unset MUJOCO_GL"):
@@ -142,7 +142,7 @@ def test_without_opengl_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch)
 @needs_gl
 def test_a_picture_that_opengl_cannot_give_is_an_error_of_ours() -> None:
     with pytest.raises(backend.OpenGLError, match="5000×64"):
-        gl.open_renderer(fixed_model(), 5000, 64)
+        gl.open_renderer(build_model(WorldOptions()), 5000, 64)
 
 
 def test_what_is_set_in_the_environment_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:

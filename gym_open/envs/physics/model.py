@@ -58,12 +58,6 @@ def build_model(options: WorldOptions) -> mujoco.MjModel:
     return _compiled(model_xml(options))
 
 
-@functools.cache
-def fixed_model() -> mujoco.MjModel:
-    """The compiled model of the world v1."""
-    return build_model(WorldOptions())
-
-
 @functools.lru_cache(maxsize=64)
 def _compiled(text_of_model: str) -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_string(text_of_model)
