@@ -9,8 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-_HEADER = b"\x00\x01\x00\x00"
-"""Encapsulation: plain CDR, little-endian."""
+ENCAPSULATION = b"\x00\x01\x00\x00"
+"""First bytes of a message: plain CDR, little-endian. Alignment is counted from behind them."""
 _SIZES = {"?": 1, "B": 1, "i": 4, "I": 4, "Q": 8, "d": 8}
 
 
@@ -20,19 +20,20 @@ class CdrWriter:
     __slots__ = ("_buffer",)
 
     def __init__(self) -> None:
-        self._buffer = bytearray(_HEADER)
+        self._buffer = bytearray(ENCAPSULATION)
 
     @property
     def data(self) -> bytes:
         """The encoded message."""
         return bytes(self._buffer)
 
-    def _align(self, size: int) -> None:
-        self._buffer.extend(bytes(-(len(self._buffer) - len(_HEADER)) % size))
+    def align(self, size: int) -> None:
+        """Pad to a multiple of `size` bytes, as a number of that size would be."""
+        self._buffer.extend(bytes(-(len(self._buffer) - len(ENCAPSULATION)) % size))
 
     def scalar(self, code: str, value: float) -> None:
         """Append one number; `code` is its letter in the module `struct`."""
-        self._align(_SIZES[code])
+        self.align(_SIZES[code])
         self._buffer.extend(struct.pack(f"<{code}", value))
 
     def string(self, value: str) -> None:
@@ -57,12 +58,12 @@ class CdrWriter:
         """Append a `float64[]`: `values` of any shape, flattened in C order."""
         self.scalar("I", values.size)
         if values.size:
-            self._align(8)
+            self.align(8)
             self._buffer.extend(np.ascontiguousarray(values, dtype="<f8").tobytes())
 
     def vector(self, values: Sequence[float]) -> None:
         """Append a `float64[n]` of fixed length: the numbers alone."""
-        self._align(8)
+        self.align(8)
         self._buffer.extend(struct.pack(f"<{len(values)}d", *values))
 
 
@@ -76,13 +77,13 @@ class CdrReader:
     __slots__ = ("_data", "_offset")
 
     def __init__(self, data: bytes) -> None:
-        if data[:4] != _HEADER:
-            raise ValueError(f"expected little-endian CDR (header {_HEADER.hex()}), got {data[:4].hex()}")
+        if data[:4] != ENCAPSULATION:
+            raise ValueError(f"expected little-endian CDR (header {ENCAPSULATION.hex()}), got {data[:4].hex()}")
         self._data = data
-        self._offset = len(_HEADER)
+        self._offset = len(ENCAPSULATION)
 
     def _take(self, count: int, align: int = 1) -> int:
-        start = self._offset + (-(self._offset - len(_HEADER)) % align)
+        start = self._offset + (-(self._offset - len(ENCAPSULATION)) % align)
         if count > len(self._data) - start:
             raise ValueError(f"the message ends at byte {len(self._data)}, {count} more were expected at {start}")
         self._offset = start + count

@@ -1,38 +1,53 @@
-"""What a log holds: record types, and the ROS 2 messages that carry them (topic, definition, encoder, decoder)."""
+"""What a log holds: its record types, and the topics and ROS 2 definitions of the messages that carry them.
+
+`log_messages` turns records into messages and back; docs/data-format.md has the layout of a file.
+"""
 
 from typing import Literal
 
 import msgspec
 import numpy as np
 
-from gym_open.envs.constants import CONTROL_DT_S, IMAGE_SIZE
+from gym_open.envs.constants import CONTROL_DT_S
 from gym_open.envs.physics.contacts import Contact
 from gym_open.envs.puzzles import Puzzle
 from gym_open.errors import ArtefactError
-from gym_open.formats.log_cdr import CdrReader, CdrWriter
 
-FORMAT = "gym-open-log/1"
+FORMAT = "gym-open-log/2"
 """Version of everything below; a reader refuses another."""
 STATE_WIDTH = 13
 """Numbers an object: position 3 (m), quaternion wxyz 4, linear velocity 3 (m/s), angular velocity 3 (rad/s)."""
 STEP_NS = round(CONTROL_DT_S * 1e9)
 """Simulated nanoseconds a step."""
 
-IMAGE, STEP, SEGMENT, SWITCH = "/observation/image", "/step", "/segment", "/switch"
+SEGMENT, STEP = "/segment", "/step"
+IMAGE, DEPTH, SEGMENTATION = "/observation/image", "/observation/depth", "/observation/segmentation"
+SWITCH, STUCK = "/switch", "/stuck"
 METRICS, EVENTS = "/metrics", "/events"
 METRIC_NAMES = ("intrinsic_reward", "world_model_loss", "policy_entropy", "value")
 
-Ended = Literal["learned", "exhausted", "budget", "terminated"]
-"""The first three are the curriculum's; a task's episode ends as `terminated`, or with its step `budget`."""
-Reason = Literal["start", "learned", "exhausted", "budget", "terminated"]
+CONFIG, MODEL, POOL = "config.json", "model.xml", "puzzles.json"
+"""Attachments of every file."""
+HEAD, PROVENANCE, CONTINUES = "gym-open", "provenance", "continues"
+"""Metadata records of a file; the last one only if the stream goes on in a further part."""
+
+Ended = Literal["learned", "exhausted", "interval", "uniform", "progress", "budget", "terminated", "cut"]
+"""Why a segment ended. The first five are the curriculum's; `budget`: the steps were spent; `terminated`: the end of a
+task's episode; `cut`: what followed was lost, and the log was repaired."""
+Reason = Literal["start", Ended]
 
 
 class LogError(ArtefactError):
     """A log is cut off, damaged, or not one of ours."""
 
 
+def log_name(stream: int, part: int) -> str:
+    """Name of the file with part `part` of a stream's log, both counted from 0."""
+    return f"stream-{stream:03d}-{part:03d}.mcap"
+
+
 class SegmentStart(msgspec.Struct, frozen=True, eq=False):
-    """A stream enters a world."""
+    """A keyframe: a stream enters a world, or has taken so many steps in it that the state is written again."""
 
     index: int
     """Number of the segment within its stream."""
@@ -42,14 +57,20 @@ class SegmentStart(msgspec.Struct, frozen=True, eq=False):
     """Index of the world in the pool."""
     puzzle: Puzzle
     continued: bool
-    """Whether the world had been left before and goes on from there."""
+    """Whether the world had been left before the segment and went on from there."""
     object_names: tuple[str, ...]
     object_state: np.ndarray
     """State of every object of the model, shape (objects, 13), float64."""
     integration_state: np.ndarray
     """State from which the simulation goes on bit for bit, shape (S,), float64."""
     image: np.ndarray
-    """Observation before the first action, shape (84, 84, 3), uint8 RGB."""
+    """Observation at that moment, shape (84, 84, 3), uint8 RGB."""
+    segment_step: int = 0
+    """Steps taken in the segment so far; 0 where the world is entered."""
+    depth: np.ndarray | None = None
+    """Shape (84, 84), float32: metres along the viewing direction, infinite where there is nothing; if recorded."""
+    segmentation: np.ndarray | None = None
+    """Shape (84, 84), int32: geom that each pixel shows, −1 for none; if recorded."""
 
 
 class StepRecord(msgspec.Struct, frozen=True, eq=False):
@@ -70,6 +91,12 @@ class StepRecord(msgspec.Struct, frozen=True, eq=False):
     value: float
     image: np.ndarray
     """Observation after the action, shape (84, 84, 3), uint8 RGB."""
+    reward_parts: tuple[float, ...] = ()
+    """What the intrinsic reward is made of, in the order of the log's names for them."""
+    depth: np.ndarray | None = None
+    """As `SegmentStart.depth`, after the action."""
+    segmentation: np.ndarray | None = None
+    """As `SegmentStart.segmentation`, after the action."""
 
 
 class Switch(msgspec.Struct, frozen=True):
@@ -83,11 +110,36 @@ class Switch(msgspec.Struct, frozen=True):
     """Pool index, −1 at the end."""
     reason: Reason
     world_losses: list[float]
-    """World-model loss of every world of the pool as it decided; infinite where none was visited yet."""
+    """World-model loss of every world of the pool as it decided: infinite where none was visited yet, NaN without a
+    model."""
+
+
+class Stuck(msgspec.Struct, frozen=True):
+    """The agent, or an object in a corner, cannot move any more, or can again. Nothing is reset because of it."""
+
+    step: int
+    """Steps that the stream had taken."""
+    segment: int
+    kind: Literal["agent", "corner"]
+    name: str
+    """Name of the object."""
+    began: bool
+    """Stuck from here on, or free again."""
+    position: tuple[float, float, float]
+    """Metres."""
+
+
+class Keyframe(msgspec.Struct, frozen=True, eq=False):
+    """A moment of a segment from which the simulation can be taken up again."""
+
+    segment_step: int
+    """Steps of the segment before it."""
+    integration_state: np.ndarray
+    """(S,) float64."""
 
 
 class Segment(msgspec.Struct, frozen=True, eq=False):
-    """Uninterrupted steps in one world: T actions and T + 1 observations."""
+    """Uninterrupted steps in one world, T actions and T + 1 observations: a whole segment, or a piece of one."""
 
     stream: int
     index: int
@@ -95,11 +147,20 @@ class Segment(msgspec.Struct, frozen=True, eq=False):
     puzzle: Puzzle
     continued: bool
     first_step: int
+    """The stream's step number of the first action here."""
+    segment_step: int
+    """Steps of the segment before the first action here; 0 for a whole segment."""
     object_names: tuple[str, ...]
-    integration_state: np.ndarray
-    """(S,) float64, before the first action."""
+    integration_state: np.ndarray | None
+    """(S,) float64, before the first action; None if this piece begins between two keyframes."""
+    keyframes: list[Keyframe]
+    """Those within; the first is at `segment_step` if there is an `integration_state`."""
     images: np.ndarray
     """(T + 1, 84, 84, 3) uint8 RGB."""
+    depth: np.ndarray | None
+    """(T + 1, 84, 84) float32 metres, if recorded."""
+    segmentation: np.ndarray | None
+    """(T + 1, 84, 84) int32 geom ids, if recorded."""
     actions: np.ndarray
     """(T,) int64."""
     object_state: np.ndarray
@@ -107,11 +168,14 @@ class Segment(msgspec.Struct, frozen=True, eq=False):
     contacts: list[tuple[Contact, ...]]
     """T of them."""
     intrinsic_reward: np.ndarray
-    """(T,) float64, like the three that follow."""
+    """(T,) float64, like the three that follow, and every part."""
     world_model_loss: np.ndarray
     policy_entropy: np.ndarray
     value: np.ndarray
-    ended: Ended
+    reward_parts: dict[str, np.ndarray]
+    """What the intrinsic reward is made of, by name."""
+    ended: Ended | None
+    """None if the segment goes on in the next piece."""
 
 
 _HEADER = """\
@@ -145,12 +209,13 @@ uint64 step
 uint32 segment
 uint32 segment_step
 uint8 action
-float64[] object_state
-gym_open_msgs/Contact[] contacts
 float64 intrinsic_reward
 float64 world_model_loss
 float64 policy_entropy
 float64 value
+float64[] reward_parts
+float64[] object_state
+gym_open_msgs/Contact[] contacts
 ================================================================================
 MSG: gym_open_msgs/Contact
 string a
@@ -162,6 +227,7 @@ float64 impulse
 _SEGMENT = """\
 uint32 segment
 uint64 first_step
+uint32 segment_step
 int32 world
 string puzzle_digest
 bool continued
@@ -176,163 +242,24 @@ int32 to_world
 string reason
 float64[] world_losses
 """
+_STUCK = """\
+uint64 step
+uint32 segment
+string kind
+string name
+bool began
+float64[3] position
+"""
 
 DEFINITIONS: dict[str, tuple[str, str]] = {
-    IMAGE: ("sensor_msgs/msg/Image", _IMAGE + _HEADER),
-    STEP: ("gym_open_msgs/msg/Step", _STEP),
     SEGMENT: ("gym_open_msgs/msg/Segment", _SEGMENT),
+    STEP: ("gym_open_msgs/msg/Step", _STEP),
+    IMAGE: ("sensor_msgs/msg/Image", _IMAGE + _HEADER),
+    DEPTH: ("sensor_msgs/msg/Image", _IMAGE + _HEADER),
+    SEGMENTATION: ("sensor_msgs/msg/Image", _IMAGE + _HEADER),
     SWITCH: ("gym_open_msgs/msg/Switch", _SWITCH),
+    STUCK: ("gym_open_msgs/msg/Stuck", _STUCK),
     METRICS: ("sensor_msgs/msg/JointState", _JOINT_STATE + _HEADER),
     EVENTS: ("std_msgs/msg/String", "string data\n"),
 }
 """Message type and ROS 2 definition of each topic. The standard types are there for viewers, ours are the record."""
-
-
-def _put_header(out: CdrWriter, nanoseconds: int) -> None:
-    seconds, rest = divmod(nanoseconds, 10**9)
-    out.scalar("i", seconds)
-    out.scalar("I", rest)
-    out.string("camera")
-
-
-def _skip_header(data: CdrReader) -> None:
-    data.scalar("i")
-    data.scalar("I")
-    data.string()
-
-
-def encode_image(image: np.ndarray, nanoseconds: int) -> bytes:
-    """`sensor_msgs/msg/Image` of an (H, W, 3) uint8 RGB picture."""
-    height, width, _ = image.shape
-    out = CdrWriter()
-    _put_header(out, nanoseconds)
-    out.scalar("I", height)
-    out.scalar("I", width)
-    out.string("rgb8")
-    out.scalar("B", 0)
-    out.scalar("I", 3 * width)
-    out.blob(image.tobytes())
-    return out.data
-
-
-def decode_image(message: bytes) -> np.ndarray:
-    """The (84, 84, 3) uint8 picture of an image message.
-
-    Raises:
-        ValueError: if it has another size or encoding.
-    """
-    data = CdrReader(message)
-    _skip_header(data)
-    height, width, encoding = data.integer("I"), data.integer("I"), data.string()
-    if (height, width, encoding) != (IMAGE_SIZE, IMAGE_SIZE, "rgb8"):
-        raise ValueError(f"expected a {IMAGE_SIZE}x{IMAGE_SIZE} rgb8 image, got {height}x{width} {encoding}")
-    data.integer("B")
-    data.integer("I")
-    return np.frombuffer(data.blob(), np.uint8).reshape(height, width, 3)
-
-
-def encode_step(record: StepRecord) -> bytes:
-    """`gym_open_msgs/msg/Step`, all of the record but its image."""
-    out = CdrWriter()
-    out.scalar("Q", record.step)
-    out.scalar("I", record.segment)
-    out.scalar("I", record.segment_step)
-    out.scalar("B", record.action)
-    out.floats(record.object_state)
-    out.scalar("I", len(record.contacts))
-    for contact in record.contacts:
-        out.string(contact.a)
-        out.string(contact.b)
-        out.vector((*contact.position, *contact.normal, contact.impulse))
-    out.vector((record.intrinsic_reward, record.world_model_loss, record.policy_entropy, record.value))
-    return out.data
-
-
-def decode_step(message: bytes, image: np.ndarray) -> StepRecord:
-    """The record of a step message and the image that followed it.
-
-    Raises:
-        ValueError: if the message is not of that type.
-    """
-    data = CdrReader(message)
-    step, segment, segment_step, action = (data.integer(code) for code in "QIIB")
-    state = data.floats().reshape(-1, STATE_WIDTH)
-    contacts = tuple(_contact(data) for _ in range(data.integer("I")))
-    reward, loss, entropy, value = data.vector(4)
-    return StepRecord(step, segment, segment_step, action, state, contacts, reward, loss, entropy, value, image)
-
-
-def _contact(data: CdrReader) -> Contact:
-    a, b = data.string(), data.string()
-    x, y, z, nx, ny, nz, impulse = data.vector(7)
-    return Contact(a=a, b=b, position=(x, y, z), normal=(nx, ny, nz), impulse=impulse)
-
-
-def encode_segment(start: SegmentStart) -> bytes:
-    """`gym_open_msgs/msg/Segment`, all of the start but its image; the puzzle by digest (the pool is attached)."""
-    out = CdrWriter()
-    out.scalar("I", start.index)
-    out.scalar("Q", start.first_step)
-    out.scalar("i", start.world)
-    out.string(start.puzzle.digest)
-    out.scalar("?", start.continued)
-    out.strings(start.object_names)
-    out.floats(start.object_state)
-    out.floats(start.integration_state)
-    return out.data
-
-
-def decode_segment(message: bytes, pool: tuple[Puzzle, ...], image: np.ndarray) -> SegmentStart:
-    """The start of a segment, its puzzle looked up in the `pool`.
-
-    Raises:
-        ValueError: if the message is not of that type, or its puzzle is not the pool's.
-    """
-    data = CdrReader(message)
-    index, first_step, world, digest = data.integer("I"), data.integer("Q"), data.integer("i"), data.string()
-    if not (0 <= world < len(pool) and pool[world].digest == digest):
-        raise ValueError(f"segment {index} is in world {world} with puzzle {digest}, which the pool does not hold")
-    continued, names = bool(data.scalar("?")), tuple(data.strings())
-    state = data.floats().reshape(len(names), STATE_WIDTH)
-    return SegmentStart(index, first_step, world, pool[world], continued, names, state, data.floats(), image)
-
-
-def encode_switch(switch: Switch) -> bytes:
-    """`gym_open_msgs/msg/Switch`."""
-    out = CdrWriter()
-    out.scalar("Q", switch.step)
-    out.scalar("i", switch.from_world)
-    out.scalar("i", switch.to_world)
-    out.string(switch.reason)
-    out.floats(np.array(switch.world_losses))
-    return out.data
-
-
-def decode_switch(message: bytes) -> Switch:
-    """The switch of a message.
-
-    Raises:
-        ValueError: if the message is not of that type (`msgspec.ValidationError` is one).
-    """
-    data = CdrReader(message)
-    step, source, target, reason = data.integer("Q"), data.integer("i"), data.integer("i"), data.string()
-    fields = {"step": step, "from_world": source, "to_world": target, "reason": reason}
-    return msgspec.convert({**fields, "world_losses": data.floats().tolist()}, Switch)
-
-
-def encode_metrics(record: StepRecord, nanoseconds: int) -> bytes:
-    """`sensor_msgs/msg/JointState`: the step's scalars by name, which viewers plot without further ado."""
-    out = CdrWriter()
-    _put_header(out, nanoseconds)
-    out.strings(METRIC_NAMES)
-    out.floats(np.array([getattr(record, name) for name in METRIC_NAMES]))
-    out.floats(np.empty(0))
-    out.floats(np.empty(0))
-    return out.data
-
-
-def encode_text(text: str) -> bytes:
-    """`std_msgs/msg/String`."""
-    out = CdrWriter()
-    out.string(text)
-    return out.data

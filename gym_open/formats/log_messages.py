@@ -1,0 +1,281 @@
+"""Records to ROS 2 messages and back.
+
+What a log holds of every step (`encode_image`, `encode_step`, `encode_metrics`) is packed in one go from what was laid
+out once; the rest, a few messages in thousands, is put together value by value.
+"""
+
+import functools
+import struct
+
+import msgspec
+import numpy as np
+
+from gym_open.envs.constants import IMAGE_SIZE
+from gym_open.envs.physics.contacts import Contact
+from gym_open.envs.puzzles import Puzzle
+from gym_open.formats.log_cdr import ENCAPSULATION, CdrReader, CdrWriter
+from gym_open.formats.log_schemas import (
+    DEPTH,
+    IMAGE,
+    METRIC_NAMES,
+    SEGMENTATION,
+    STATE_WIDTH,
+    SegmentStart,
+    StepRecord,
+    Stuck,
+    Switch,
+)
+
+PIXELS: dict[str, tuple[str, np.dtype, tuple[int, ...]]] = {
+    IMAGE: ("rgb8", np.dtype("u1"), (IMAGE_SIZE, IMAGE_SIZE, 3)),
+    DEPTH: ("32FC1", np.dtype("<f4"), (IMAGE_SIZE, IMAGE_SIZE)),
+    SEGMENTATION: ("32SC1", np.dtype("<i4"), (IMAGE_SIZE, IMAGE_SIZE)),
+}
+"""ROS's name of the pixels, their type, and the shape of the picture, of each topic with pictures."""
+
+_STAMP = struct.Struct("<4siI")
+"""Encapsulation, seconds, nanoseconds: how every message begins that has a header."""
+
+
+def _stamp(nanoseconds: int) -> bytes:
+    return _STAMP.pack(ENCAPSULATION, *divmod(nanoseconds, 10**9))
+
+
+def _header() -> CdrWriter:
+    """A message so far as a header with the time 0."""
+    out = CdrWriter()
+    out.scalar("i", 0)
+    out.scalar("I", 0)
+    out.string("camera")
+    return out
+
+
+def encode_image(topic: str, image: np.ndarray, nanoseconds: int) -> bytes:
+    """`sensor_msgs/msg/Image` of a picture as `PIXELS` says for the topic."""
+    pixels = np.ascontiguousarray(image, PIXELS[topic][1])
+    return b"".join((_stamp(nanoseconds), _before_pixels(topic, image.shape), pixels.data))
+
+
+@functools.cache
+def _before_pixels(topic: str, shape: tuple[int, ...]) -> bytes:
+    """All of an image message between its stamp and its pixels."""
+    encoding, kind, expected = PIXELS[topic]
+    if shape != expected:
+        raise ValueError(f"{topic}: expected a picture of shape {expected}, got {shape}")
+    out = _header()
+    out.scalar("I", shape[0])
+    out.scalar("I", shape[1])
+    out.string(encoding)
+    out.scalar("B", 0)
+    size = kind.itemsize * int(np.prod(shape))
+    out.scalar("I", size // shape[0])
+    out.scalar("I", size)
+    return out.data[_STAMP.size :]
+
+
+def decode_image(topic: str, message: bytes) -> np.ndarray:
+    """The picture of an image message, read-only.
+
+    Raises:
+        ValueError: if it has another size or encoding than the topic's.
+    """
+    encoding, kind, shape = PIXELS[topic]
+    data = CdrReader(message)
+    data.scalar("i")
+    data.scalar("I")
+    data.string()
+    height, width, found = data.integer("I"), data.integer("I"), data.string()
+    if (height, width, found) != (*shape[:2], encoding):
+        raise ValueError(f"{topic}: expected a {shape[0]}x{shape[1]} {encoding} image, got {height}x{width} {found}")
+    data.integer("B")
+    data.integer("I")
+    return np.frombuffer(data.blob(), kind).reshape(shape)
+
+
+@functools.cache
+def _step_head(parts: int) -> struct.Struct:
+    """A step up to its contacts, but for the state: that comes between the last two numbers."""
+    sequence = f"I4x{parts}d" if parts else "I"
+    return struct.Struct(f"<4sQIIB7x4d{sequence}I{'4x' if parts else ''}")
+
+
+_COUNT = struct.Struct("<I")
+_CONTACT = struct.Struct("<7d")
+
+
+def encode_step(record: StepRecord) -> bytes:
+    """`gym_open_msgs/msg/Step`, all of the record but its pictures."""
+    parts = record.reward_parts
+    state = np.ascontiguousarray(record.object_state, "<f8")
+    message = bytearray(
+        _step_head(len(parts)).pack(
+            ENCAPSULATION, record.step, record.segment, record.segment_step, record.action, record.intrinsic_reward,
+            record.world_model_loss, record.policy_entropy, record.value, len(parts), *parts, state.size,
+        )
+    )  # fmt: skip
+    message += state.data
+    message += _COUNT.pack(len(record.contacts))
+    for contact in record.contacts:
+        message += _contact_names(contact.a, contact.b, (len(message) - len(ENCAPSULATION)) % 8)
+        message += _CONTACT.pack(*contact.position, *contact.normal, contact.impulse)
+    return bytes(message)
+
+
+@functools.cache
+def _contact_names(a: str, b: str, phase: int) -> bytes:
+    """The two names of a contact and what aligns its numbers, `phase` bytes behind a multiple of 8."""
+    out = CdrWriter()
+    for _ in range(phase):
+        out.scalar("B", 0)
+    out.string(a)
+    out.string(b)
+    out.align(8)
+    return out.data[len(ENCAPSULATION) + phase :]
+
+
+def decode_step(
+    message: bytes, image: np.ndarray, depth: np.ndarray | None = None, segmentation: np.ndarray | None = None
+) -> StepRecord:
+    """The record of a step message and of the pictures that followed it.
+
+    Raises:
+        ValueError: if the message is not of that type.
+    """
+    data = CdrReader(message)
+    step, segment, segment_step, action = (data.integer(code) for code in "QIIB")
+    reward, loss, entropy, value = data.vector(4)
+    parts = tuple(data.floats().tolist())
+    state = data.floats().reshape(-1, STATE_WIDTH)
+    contacts = tuple(_contact(data) for _ in range(data.integer("I")))
+    return StepRecord(
+        step, segment, segment_step, action, state, contacts, reward, loss, entropy, value, image, parts, depth,
+        segmentation,
+    )  # fmt: skip
+
+
+def _contact(data: CdrReader) -> Contact:
+    a, b = data.string(), data.string()
+    x, y, z, nx, ny, nz, impulse = data.vector(7)
+    return Contact(a=a, b=b, position=(x, y, z), normal=(nx, ny, nz), impulse=impulse)
+
+
+def encode_segment(start: SegmentStart) -> bytes:
+    """`gym_open_msgs/msg/Segment`, all of the start but its pictures; the puzzle by digest (the pool is attached)."""
+    out = CdrWriter()
+    out.scalar("I", start.index)
+    out.scalar("Q", start.first_step)
+    out.scalar("I", start.segment_step)
+    out.scalar("i", start.world)
+    out.string(start.puzzle.digest)
+    out.scalar("?", start.continued)
+    out.strings(start.object_names)
+    out.floats(start.object_state)
+    out.floats(start.integration_state)
+    return out.data
+
+
+def decode_segment(
+    message: bytes,
+    pool: tuple[Puzzle, ...],
+    image: np.ndarray,
+    depth: np.ndarray | None = None,
+    segmentation: np.ndarray | None = None,
+) -> SegmentStart:
+    """The keyframe of a message and of the pictures that followed it, its puzzle looked up in the `pool`.
+
+    Raises:
+        ValueError: if the message is not of that type, or its puzzle is not the pool's.
+    """
+    data = CdrReader(message)
+    index, first_step, segment_step, world = (data.integer(code) for code in "IQIi")
+    digest = data.string()
+    if not (0 <= world < len(pool) and pool[world].digest == digest):
+        raise ValueError(f"segment {index} is in world {world} with puzzle {digest}, which the pool does not hold")
+    continued, names = bool(data.scalar("?")), tuple(data.strings())
+    state = data.floats().reshape(len(names), STATE_WIDTH)
+    return SegmentStart(
+        index, first_step, world, pool[world], continued, names, state, data.floats(), image, segment_step, depth,
+        segmentation,
+    )  # fmt: skip
+
+
+def encode_switch(switch: Switch) -> bytes:
+    """`gym_open_msgs/msg/Switch`."""
+    out = CdrWriter()
+    out.scalar("Q", switch.step)
+    out.scalar("i", switch.from_world)
+    out.scalar("i", switch.to_world)
+    out.string(switch.reason)
+    out.floats(np.array(switch.world_losses))
+    return out.data
+
+
+def decode_switch(message: bytes) -> Switch:
+    """The switch of a message.
+
+    Raises:
+        ValueError: if the message is not of that type (`msgspec.ValidationError` is one).
+    """
+    data = CdrReader(message)
+    step, source, target, reason = data.integer("Q"), data.integer("i"), data.integer("i"), data.string()
+    fields = {"step": step, "from_world": source, "to_world": target, "reason": reason}
+    return msgspec.convert({**fields, "world_losses": data.floats().tolist()}, Switch)
+
+
+def encode_stuck(stuck: Stuck) -> bytes:
+    """`gym_open_msgs/msg/Stuck`."""
+    out = CdrWriter()
+    out.scalar("Q", stuck.step)
+    out.scalar("I", stuck.segment)
+    out.string(stuck.kind)
+    out.string(stuck.name)
+    out.scalar("?", stuck.began)
+    out.vector(stuck.position)
+    return out.data
+
+
+def decode_stuck(message: bytes) -> Stuck:
+    """The stuck thing of a message.
+
+    Raises:
+        ValueError: if the message is not of that type (`msgspec.ValidationError` is one).
+    """
+    data = CdrReader(message)
+    step, segment, kind, name = data.integer("Q"), data.integer("I"), data.string(), data.string()
+    fields = {"step": step, "segment": segment, "kind": kind, "name": name, "began": bool(data.scalar("?"))}
+    return msgspec.convert({**fields, "position": data.vector(3)}, Stuck)
+
+
+def metric_names(reward_parts: tuple[str, ...]) -> tuple[str, ...]:
+    """Names in a message of `/metrics`: the four figures of a step, then the parts of its reward."""
+    return METRIC_NAMES + tuple(f"intrinsic_reward/{part}" for part in reward_parts)
+
+
+def encode_metrics(record: StepRecord, names: tuple[str, ...], nanoseconds: int) -> bytes:
+    """`sensor_msgs/msg/JointState`: the step's scalars by `metric_names`, which viewers plot without further ado."""
+    figures = (record.intrinsic_reward, record.world_model_loss, record.policy_entropy, record.value)
+    values = _metrics(len(names)).pack(*figures, *record.reward_parts, 0, 0)
+    return b"".join((_stamp(nanoseconds), _before_metrics(names), values))
+
+
+@functools.cache
+def _metrics(count: int) -> struct.Struct:
+    """The positions, then no velocity and no effort."""
+    return struct.Struct(f"<{count}dII")
+
+
+@functools.cache
+def _before_metrics(names: tuple[str, ...]) -> bytes:
+    """All of a metrics message between its stamp and its numbers."""
+    out = _header()
+    out.strings(names)
+    out.scalar("I", len(names))
+    out.align(8)
+    return out.data[_STAMP.size :]
+
+
+def encode_text(text: str) -> bytes:
+    """`std_msgs/msg/String`."""
+    out = CdrWriter()
+    out.string(text)
+    return out.data
