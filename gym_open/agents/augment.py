@@ -1,40 +1,50 @@
 """Random shift, the one augmentation that pixels need here (Kostrikov et al. 2021, "DrQ")."""
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
+Window = tuple[slice, slice]
+"""Rows and columns of a picture."""
 
-def random_shift(prepared: Tensor, pad: int, generator: torch.Generator) -> Tensor:
-    """Move each picture by its own whole number of pixels, −pad…pad on each axis; what comes in is zero.
 
-    Zero is the mean picture when the pictures are centred already, so shift after centring.
+def draw_shifts(n: int, pad: int, generator: torch.Generator) -> Tensor:
+    """Shifts (down, right) of n pictures, whole pixels, each uniform in −pad…pad; (n, 2) int64."""
+    return torch.randint(-pad, pad + 1, (n, 2), generator=generator)
+
+
+def no_shifts(n: int) -> Tensor:
+    """Shifts that leave n pictures where they are; (n, 2) int64."""
+    return torch.zeros(n, 2, dtype=torch.int64)
+
+
+def shift_each(
+    images: Tensor, shifts: Tensor, place: Callable[[Tensor, Window, Tensor], object], dtype: torch.dtype
+) -> Tensor:
+    """Turn pixels into numbers and move each picture by its own shift in one pass; what comes in is zero.
+
+    Zero is the mean picture when `place` centres the pictures, so that the edge of the mean does not move along.
 
     Args:
-        prepared: (B, C, H, W).
-        pad: largest shift, at least 0.
-        generator: source of the shifts.
+        images: (B, H, W, C).
+        shifts: (down, right) of each picture, (B, 2) int64.
+        place: writes what becomes of pixels (h, w, C) that lie in a window of their picture into a tensor (h, w, C).
+        dtype: of the result.
 
     Returns:
-        (B, C, H, W), in the memory order of `prepared`.
+        (B, C, H, W) in channels-last memory order.
     """
-    if pad == 0:
-        return prepared
-    height, width = prepared.shape[-2:]
-    shifted = torch.zeros_like(prepared)
-    for target, source, (down, right) in zip(
-        shifted, prepared, draw_shifts(len(prepared), pad, generator), strict=True
-    ):
-        to_rows, from_rows = overlap(down, height)
-        to_columns, from_columns = overlap(right, width)
-        target[:, to_rows, to_columns] = source[:, from_rows, from_columns]
-    return shifted
+    height, width = images.shape[1:3]
+    shifted = torch.zeros(images.shape, dtype=dtype)
+    for target, source, (down, right) in zip(shifted, images, shifts.tolist(), strict=True):
+        to_rows, from_rows = _overlap(down, height)
+        to_columns, from_columns = _overlap(right, width)
+        window = from_rows, from_columns
+        place(source[window], window, target[to_rows, to_columns])
+    return shifted.permute(0, 3, 1, 2)
 
 
-def draw_shifts(n: int, pad: int, generator: torch.Generator) -> list[list[int]]:
-    """Shifts (down, right) of n pictures, each uniform in −pad…pad."""
-    return torch.randint(-pad, pad + 1, (n, 2), generator=generator).tolist()
-
-
-def overlap(shift: int, size: int) -> tuple[slice, slice]:
+def _overlap(shift: int, size: int) -> tuple[slice, slice]:
     """Where pixels land, and where they come from, when an axis of `size` moves by `shift`."""
     return slice(max(shift, 0), size + min(shift, 0)), slice(max(-shift, 0), size + min(-shift, 0))

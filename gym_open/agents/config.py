@@ -5,8 +5,8 @@ from typing import Literal
 from gym_open.config import Config, Count, Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
 
 Precision = Literal["fp32", "bf16"]
-ExplorerKind = Literal["curl+ride", "curl+random"]
-"""World model and reward: `curl+random` plays uniformly random actions and learns the world model alone."""
+WorldModelName = Literal["none", "icm", "rnd", "curl"]
+RewardName = Literal["none", "error", "ride"]
 
 
 class EncoderConfig(Config, frozen=True, kw_only=True):
@@ -18,17 +18,47 @@ class EncoderConfig(Config, frozen=True, kw_only=True):
     """Pixels, less the mean picture, are multiplied by this over 255: objects are only four pixels wide."""
 
 
+class IcmConfig(Config, frozen=True, kw_only=True):
+    """Intrinsic curiosity module (Pathak et al. 2017; `pathak22/noreward-rl`)."""
+
+    hidden: PositiveInt = 256
+    """Width of the hidden layer of the inverse and of the forward model."""
+    beta: Fraction = 0.2
+    """Share of the forward error in the loss; the inverse error has the rest."""
+    eta: PositiveFloat = 0.01
+    """Weight of the forward error in the reward."""
+    eta_inverse: NonNegativeFloat = 0.0
+    """Weight of the inverse error in the reward: ICM's own has none, OPEn's table names both."""
+    loss_scale: PositiveFloat = 1.0
+    """What the loss of a world is multiplied by before the curriculum looks at it."""
+
+
+class RndConfig(Config, frozen=True, kw_only=True):
+    """Random network distillation (Burda et al. 2018; `openai/random-network-distillation`)."""
+
+    hidden: PositiveInt = 512
+    """Width of the predictor's two hidden layers."""
+    outputs: PositiveInt = 512
+    """Features that the target gives and the predictor predicts."""
+    clip: PositiveFloat = 5.0
+    """Deviations beyond which the target's pixels are clipped."""
+    loss_scale: PositiveFloat = 1.0
+    """What the loss of a world is multiplied by before the curriculum looks at it."""
+
+
 class CurlConfig(Config, frozen=True, kw_only=True):
     """Contrastive world model (Srinivas et al. 2020, `MishaLaskin/curl`), with random shift in place of its crop."""
 
     latent: PositiveInt = 50
     """Width of the projection that is compared."""
     pad: Count = 4
-    """Largest random shift, in pixels, of the two views of a picture."""
+    """Largest random shift, in pixels, of the views of a picture."""
     tau: Fraction = 0.05
     """Share of the query encoder that enters the key encoder at an update."""
     update_every: PositiveInt = 2
-    """The key encoder is updated every so many losses."""
+    """The key encoder is updated every so many gradient steps."""
+    loss_scale: PositiveFloat = 1.0
+    """What the loss of a world is multiplied by before the curriculum of exploration looks at it."""
 
 
 class PPOConfig(Config, frozen=True, kw_only=True):
@@ -64,3 +94,49 @@ class PPOConfig(Config, frozen=True, kw_only=True):
     """Largest random shift, in pixels, of the pictures in the update (Kostrikov et al. 2021); 0 for none."""
     precision: Precision = "bf16"
     """Arithmetic of the network: bf16 is the faster on CPUs that have it, weights stay fp32."""
+
+
+EXPLORER_PPO = PPOConfig(learning_rate=1e-3, minibatch_size=128, update_epochs=3, shift_pad=4, ent_coef=0.15)
+"""What exploration changes of PPO's defaults, which are those of fine-tuning."""
+
+
+class ExplorerConfig(Config, frozen=True, kw_only=True):
+    """Who plays: a world model and the reward that is made of it, over one PPO."""
+
+    world_model: WorldModelName = "curl"
+    """What is learned of the world; `none` learns nothing, and acts at random."""
+    reward: RewardName = "ride"
+    """From within: the world model's own `error`, `ride` (how far an action moved the world in the model's latent
+    space), or `none`, which acts uniformly at random while the model, if there is one, still learns."""
+    share_encoder: bool = True
+    """Policy and world model share one encoder, as the paper insists; else each has one of its own."""
+    encoder: EncoderConfig = EncoderConfig()
+    """From pictures to features."""
+    icm: IcmConfig = IcmConfig()
+    """Looked at if `world_model` is `icm`."""
+    rnd: RndConfig = RndConfig()
+    """Looked at if `world_model` is `rnd`."""
+    curl: CurlConfig = CurlConfig()
+    """Looked at if `world_model` is `curl`."""
+    ppo: PPOConfig = EXPLORER_PPO
+    """The learner of the policy; its Adam, minibatches and epochs are the world model's too."""
+
+    def __post_init__(self) -> None:
+        if self.world_model == "none" and self.reward != "none":
+            raise ValueError(
+                f"`reward` {self.reward!r} needs a world model, got `world_model` 'none'; choose icm, rnd or curl, or "
+                "give `reward` 'none'"
+            )
+
+    @property
+    def name(self) -> str:
+        """The paper's name in small letters: `icm`, `rnd+ride`, `curl+random`, …, `random`."""
+        if self.world_model == "none":
+            return "random"
+        match self.reward:
+            case "none":
+                return f"{self.world_model}+random"
+            case "error":
+                return self.world_model
+            case "ride":
+                return f"{self.world_model}+ride"

@@ -6,8 +6,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from gym_open.agents.augment import draw_shifts, no_shifts
 from gym_open.agents.config import CurlConfig
-from gym_open.agents.encoder import Encoder, init_layer
+from gym_open.agents.encoder import Encoder, autocast, init_layer
+from gym_open.agents.world_model import Transitions, WorldModel
 
 
 def info_nce(logits: Tensor) -> Tensor:
@@ -20,21 +22,24 @@ def contrastive_accuracy(logits: Tensor) -> Tensor:
     return (logits.argmax(dim=1) == torch.arange(len(logits))).float().mean()
 
 
-class Curl(nn.Module):
+class Curl(WorldModel):
     """An encoder, a projection of its features, a bilinear similarity, and a slow copy of both that makes the keys.
 
-    The encoder is shared with whoever else holds it. The key network learns only by `update_key`.
+    The encoder is shared with whoever else holds it. The key network learns only by `stepped`.
     """
 
+    error_parts = ("error",)
+    _steps: Tensor
+
     def __init__(self, encoder: Encoder, config: CurlConfig, generator: torch.Generator) -> None:
-        super().__init__()
+        super().__init__(encoder, config.loss_scale)
         self.config = config
-        self.encoder = encoder
         linear = nn.Linear(encoder.config.features, config.latent)
         init_layer(linear, generator)
         self.projection = nn.Sequential(linear, nn.LayerNorm(config.latent))
         self.W = nn.Parameter(torch.rand(config.latent, config.latent, generator=generator))
         self.key = copy.deepcopy(nn.Sequential(encoder.layers, self.projection)).requires_grad_(requires_grad=False)
+        self.register_buffer("_steps", torch.zeros((), dtype=torch.int64))
 
     def logits(self, images: Tensor, generator: torch.Generator) -> Tensor:
         """Similarity `qᵀ W k` of two random shifts of every picture, less its row's maximum.
@@ -46,24 +51,57 @@ class Curl(nn.Module):
         Returns:
             (B, B): row i compares query i with every key.
         """
-        query = self.projection(self.encoder(self.encoder.prepare_shifted(images, self.config.pad, generator)))
-        with torch.no_grad():
-            key = self.key(self.encoder.prepare_shifted(images, self.config.pad, generator))
-        logits = query.float() @ self.W @ key.float().T
+        query = self.projection(self.features(images, self._draw(images, generator)))
+        logits = query.float() @ self.W @ self._keys(images, self._draw(images, generator)).T
         return logits - logits.max(dim=1, keepdim=True).values.detach()
 
-    def loss(self, images: Tensor, generator: torch.Generator) -> Tensor:
-        """InfoNCE between two random shifts of `images`, (B, 84, 84, 3) uint8; a scalar."""
-        return info_nce(self.logits(images, generator))
+    def loss(
+        self, transitions: Transitions, shifts: Tensor, generator: torch.Generator, features: Tensor | None = None
+    ) -> Tensor:
+        """InfoNCE of B observations between the given shifts of them and another, random one."""
+        images = transitions.obs
+        if features is None:
+            features = self.features(images, shifts)
+        query, keys = self.projection(features), self._keys(images, self._draw(images, generator))
+        return self._info_nce(query, keys).mean()
+
+    @torch.no_grad()
+    def world_loss(self, transitions: Transitions, generator: torch.Generator) -> float:
+        """`loss` between two random shifts."""
+        return float(self.loss(transitions, self._draw(transitions.obs, generator), generator))
+
+    @torch.no_grad()
+    def errors(self, transitions: Transitions) -> dict[str, Tensor]:
+        """`error`: InfoNCE of the picture that each step led to, among those of all B steps, unshifted."""
+        images = transitions.next_obs
+        keys = self._keys(images, no_shifts(len(images)))
+        return {"error": self._info_nce(self.latent(images), keys)}
 
     @torch.no_grad()
     def latent(self, images: Tensor) -> Tensor:
         """Projected features (B, latent) of unshifted pictures (B, 84, 84, 3) uint8, without gradient."""
-        return self.projection(self.encoder(self.encoder.prepare(images)))
+        return self.projection(self.features(images, no_shifts(len(images)))).float()
 
     @torch.no_grad()
-    def update_key(self) -> None:
-        """Move the key network towards the query's: `key ← key + tau · (query − key)`."""
+    def stepped(self) -> None:
+        """Every `update_every` steps, move the key network towards the query's: `key ← key + tau · (query − key)`."""
+        self._steps += 1
+        if self._steps % self.config.update_every:
+            return
         query = [*self.encoder.layers.parameters(), *self.projection.parameters()]
         for slow, fast in zip(self.key.parameters(), query, strict=True):
             slow.lerp_(fast, self.config.tau)
+
+    def _draw(self, images: Tensor, generator: torch.Generator) -> Tensor:
+        return draw_shifts(len(images), self.config.pad, generator)
+
+    @torch.no_grad()
+    def _keys(self, images: Tensor, shifts: Tensor) -> Tensor:
+        """What the key network makes of pictures, (B, latent) fp32."""
+        return self.key(self.encoder.prepare_shifted(images, shifts)).float()
+
+    def _info_nce(self, query: Tensor, keys: Tensor) -> Tensor:
+        """InfoNCE of each query, (B,), with similarities in fp32: rounded to bf16 they would put a floor under it."""
+        with autocast("fp32"):
+            logits = query.float() @ self.W @ keys.T
+            return F.cross_entropy(logits, torch.arange(len(logits)), reduction="none")

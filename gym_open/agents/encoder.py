@@ -1,11 +1,12 @@
 """The image encoder: centred, scaled pixels through the paper's three-layer CNN."""
 
 import math
+from collections.abc import Callable
 
 import torch
 from torch import Tensor, nn
 
-from gym_open.agents.augment import draw_shifts, overlap
+from gym_open.agents.augment import Window, shift_each
 from gym_open.agents.config import EncoderConfig, Precision
 
 IMAGE_SHAPE = (84, 84, 3)
@@ -24,8 +25,26 @@ def init_layer(layer: nn.Conv2d | nn.Linear, generator: torch.Generator, std: fl
         nn.init.zeros_(layer.bias)
 
 
+def convolutions(features: int, activation: Callable[[], nn.Module], generator: torch.Generator) -> nn.Sequential:
+    """The network of Mnih et al. 2015: convolutions 32 8×8/4, 64 4×4/2, 64 3×3/1, then a linear layer of `features`.
+
+    It maps (B, 3, 84, 84) to (B, features), with `activation` between the layers, not after the last.
+    """
+    layers = nn.Sequential(
+        nn.Conv2d(IMAGE_SHAPE[2], 32, kernel_size=8, stride=4), activation(),
+        nn.Conv2d(32, 64, kernel_size=4, stride=2), activation(),
+        nn.Conv2d(64, 64, kernel_size=3, stride=1), activation(),
+        nn.Flatten(),
+        nn.Linear(64 * 7 * 7, features),
+    )  # fmt: skip
+    for layer in layers:
+        if isinstance(layer, nn.Conv2d | nn.Linear):
+            init_layer(layer, generator)
+    return layers.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]  (missing in torch's stubs)
+
+
 class Encoder(nn.Module):
-    """Picture to features: convolutions 32 8×8/4, 64 4×4/2, 64 3×3/1, then a linear layer, each with ReLU.
+    """Picture to features: `convolutions` with a ReLU after each layer, the last one too.
 
     Attributes:
         mean_image: what is subtracted from a picture, (3, 84, 84), in units of 0…255; zero until it is set.
@@ -39,17 +58,7 @@ class Encoder(nn.Module):
         self.config = config
         height, width, channels = IMAGE_SHAPE
         self.register_buffer("mean_image", torch.zeros(channels, height, width))
-        self.layers = nn.Sequential(
-            nn.Conv2d(channels, 32, kernel_size=8, stride=4), nn.ReLU(),
-            nn.Conv2d(32, 64, kernel_size=4, stride=2), nn.ReLU(),
-            nn.Conv2d(64, 64, kernel_size=3, stride=1), nn.ReLU(),
-            nn.Flatten(),
-            nn.Linear(64 * 7 * 7, config.features), nn.ReLU(),
-        )  # fmt: skip
-        for layer in self.layers:
-            if isinstance(layer, nn.Conv2d | nn.Linear):
-                init_layer(layer, generator)
-        self.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]  (missing in torch's stubs)
+        self.layers = convolutions(config.features, nn.ReLU, generator).append(nn.ReLU())
 
     def set_mean_image(self, images: Tensor) -> None:
         """Let the mean of `images`, (N, 84, 84, 3) uint8, be what is subtracted from every picture.
@@ -75,30 +84,24 @@ class Encoder(nn.Module):
         mean = self.mean_image.permute(1, 2, 0).contiguous()
         return torch.sub(images, mean).mul_(self.config.pixel_scale / 255).permute(0, 3, 1, 2)
 
-    def prepare_shifted(self, images: Tensor, pad: int, generator: torch.Generator) -> Tensor:
-        """`random_shift(prepare(images), pad, generator)` in one pass, a third of the time.
+    def prepare_shifted(self, images: Tensor, shifts: Tensor) -> Tensor:
+        """`prepare(images)`, each picture then moved by its own shift, zero coming in, in one pass: half the time.
 
         Args:
             images: (B, 84, 84, 3) uint8.
-            pad: largest shift in pixels.
-            generator: source of the shifts.
+            shifts: (B, 2) int64, as `augment.draw_shifts` gives them.
 
         Returns:
             (B, 3, 84, 84) in channels-last memory order; bf16 inside `autocast("bf16")`, else float32.
         """
-        height, width, _ = IMAGE_SHAPE
         scale = self.config.pixel_scale / 255
         offset = (-scale * self.mean_image).permute(1, 2, 0).contiguous()
+
+        def place(source: Tensor, window: Window, out: Tensor) -> None:
+            torch.add(offset[window], source, alpha=scale, out=out)
+
         low = torch.is_autocast_enabled("cpu")
-        shifted = torch.zeros(images.shape, dtype=torch.bfloat16 if low else torch.float32)
-        for target, source, (down, right) in zip(
-            shifted, images, draw_shifts(len(images), pad, generator), strict=True
-        ):
-            to_rows, from_rows = overlap(down, height)
-            to_columns, from_columns = overlap(right, width)
-            window = from_rows, from_columns
-            torch.add(offset[window], source[window], alpha=scale, out=target[to_rows, to_columns])
-        return shifted.permute(0, 3, 1, 2)
+        return shift_each(images, shifts, place, torch.bfloat16 if low else torch.float32)
 
     def forward(self, prepared: Tensor) -> Tensor:
         """Features (B, features) of prepared pictures (B, 3, 84, 84)."""

@@ -1,43 +1,59 @@
-"""The explorer: one encoder shared by a policy and a world model, one optimiser, and a reward from within.
+"""The explorer: a world model, a reward made of it, and one PPO that seeks that reward.
 
-CURL is the world model (Srinivas et al. 2020), RIDE's impact the reward (Raileanu & Rocktäschel 2020), PPO the learner
-(Schulman et al. 2017); OPEn found sharing the encoder's weights while exploring to be important. There is no reward
-from outside: nothing here takes one.
+Policy and world model share one encoder and one optimiser, unless they are told not to: OPEn found sharing the
+encoder's weights while exploring to be important. There is no reward from outside: nothing here takes one.
+
+Whatever the world model, the policy and it look at the same random shift of a picture in the update, so that one pass
+through a shared encoder serves both; and every reward is divided by the running deviation of its discounted sum, which
+its own paper asks for only in RND, so that the coefficients of PPO mean the same for all.
 """
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 from gym_open import seeding
-from gym_open.agents.augment import random_shift
-from gym_open.agents.config import CurlConfig, EncoderConfig, ExplorerKind, PPOConfig
-from gym_open.agents.curl import Curl, info_nce
+from gym_open.agents.augment import draw_shifts
+from gym_open.agents.config import ExplorerConfig, RewardName, WorldModelName
+from gym_open.agents.curl import Curl
 from gym_open.agents.encoder import Encoder, autocast
+from gym_open.agents.icm import Icm
 from gym_open.agents.policy import ActorCritic
 from gym_open.agents.ppo import Rollout, gae, policy_loss, value_loss
-from gym_open.agents.ride import ride_reward
+from gym_open.agents.rewards import OwnError, Reward, RewardScale, Ride
+from gym_open.agents.rnd import Rnd
+from gym_open.agents.world_model import Transitions, WorldModel
+
+WORLD_MODELS: dict[WorldModelName, Callable[[ExplorerConfig, Encoder, int, torch.Generator], WorldModel]] = {
+    "icm": lambda config, encoder, n_actions, init: Icm(encoder, config.icm, n_actions, init),
+    "rnd": lambda config, encoder, _, init: Rnd(encoder, config.rnd, init),
+    "curl": lambda config, encoder, _, init: Curl(encoder, config.curl, init),
+}
+"""World models by name, made on an encoder."""
+
+REWARDS: dict[RewardName, Callable[[WorldModel], Reward]] = {"error": OwnError, "ride": Ride}
+"""Rewards by name, made of a world model."""
 
 
 @dataclass(frozen=True)
 class Acted:
-    """What the explorer makes of N observations: what it does, and what it thought, each (N,) but the latent (N, D)."""
+    """What the explorer makes of N observations: what it does, and what it thought, each (N,)."""
 
     actions: Tensor
     logprobs: Tensor
     entropy: Tensor
     """Nats."""
     values: Tensor
-    latent: Tensor
+    """0 for an explorer without a policy."""
 
 
 @dataclass(frozen=True)
 class UpdateStats:
-    """Losses of an update, averaged over its minibatches."""
+    """Losses of an update, averaged over its minibatches; not a number where there is no model, or no policy."""
 
     world_model_loss: float
     policy_loss: float
@@ -45,130 +61,191 @@ class UpdateStats:
     entropy: float
 
 
+@dataclass(frozen=True)
+class Learned:
+    """What became of a rollout of T steps in N streams, of P summands of reward.
+
+    Attributes:
+        reward: intrinsic reward before it is scaled, (T, N): the sum of its parts.
+        parts: (T, N, P).
+        stats: losses of the update.
+    """
+
+    reward: Tensor
+    parts: Tensor
+    stats: UpdateStats
+
+
 class Explorer:
     """Acts, rewards itself, and learns.
 
     Attributes:
-        encoder: shared by `policy` and `curl`.
-        reward_scale: running scale of the intrinsic reward.
+        policy: None if it acts at random.
+        model: None if it learns nothing of the world.
+        encoder: what transfers to a task: the policy's, or where there is none the model's; None for plain random play.
+        optimizer: of policy and model together; None if there is neither.
+        reward_parts: names of the summands of the reward.
     """
 
-    def __init__(
-        self, kind: ExplorerKind, encoder: EncoderConfig, curl: CurlConfig, ppo: PPOConfig, *, n_actions: int,
-        n_streams: int, seed: int,
-    ) -> None:  # fmt: skip
+    def __init__(self, config: ExplorerConfig, *, n_actions: int, n_streams: int, seed: int) -> None:
         init = _generator(seed, "init")
-        self.kind: ExplorerKind = kind
-        self.config = ppo
-        self.encoder = Encoder(encoder, init)
-        self.policy = ActorCritic(self.encoder, n_actions, init)
-        self.curl = Curl(self.encoder, curl, init)
-        self._modules = nn.ModuleDict({"policy": self.policy, "curl": self.curl})
+        self.config = config
+        self.n_actions = n_actions
+        self.policy: ActorCritic | None = None
+        self.model: WorldModel | None = None
+        self.encoder: Encoder | None = None
+        self.optimizer: torch.optim.Optimizer | None = None
+        self._reward: Reward | None = None
+        if config.world_model != "none":
+            self.encoder = Encoder(config.encoder, init)
+            shared = config.share_encoder or config.reward == "none"
+            own = self.encoder if shared else Encoder(config.encoder, init)
+            self.model = WORLD_MODELS[config.world_model](config, own, n_actions, init)
+            if config.reward != "none":
+                self.policy = ActorCritic(self.encoder, n_actions, init)
+                self._reward = REWARDS[config.reward](self.model)
+        self.reward_parts: tuple[str, ...] = self._reward.parts if self._reward else ()
+        self._modules = nn.ModuleDict(
+            {k: v for k, v in (("policy", self.policy), ("model", self.model)) if v is not None}
+        )
         learned = [parameter for parameter in self._modules.parameters() if parameter.requires_grad]
-        self.optimizer = torch.optim.Adam(learned, lr=ppo.learning_rate, eps=1e-5)
-        self.reward_scale = RewardScale(n_streams, ppo.gamma)
+        if learned:
+            self.optimizer = torch.optim.Adam(learned, lr=config.ppo.learning_rate, eps=1e-5, fused=True)
+        self.reward_scale = RewardScale(n_streams, config.ppo.gamma)
         self._act, self._learn = _generator(seed, "act"), _generator(seed, "learn")
-        self._losses = 0
+
+    @property
+    def learns(self) -> bool:
+        """Whether there is a world model."""
+        return self.model is not None
+
+    def set_mean_image(self, images: Tensor) -> None:
+        """Let the mean of (N, 84, 84, 3) uint8 pictures be what every encoder subtracts."""
+        for module in self._modules.modules():
+            if isinstance(module, Encoder):
+                module.set_mean_image(images)
 
     @torch.no_grad()
     def act(self, images: Tensor) -> Acted:
         """Look at N observations, (N, 84, 84, 3) uint8, and choose an action for each."""
-        with autocast(self.config.precision):
-            features = self.encoder(self.encoder.prepare(images))
-            latent = self.curl.projection(features).float()
-            logits, values = self.policy.actor(features).float(), self.policy.critic(features).float().flatten()
-        if self.kind == "curl+random":
-            logits = torch.zeros_like(logits)
+        if self.policy is None:
+            logits, values = torch.zeros(len(images), self.n_actions), torch.zeros(len(images))
+        else:
+            with autocast(self.config.ppo.precision):
+                logits, values = self.policy(self.policy.encoder.prepare(images))
         logprobs = F.log_softmax(logits, dim=1)
         probs = logprobs.exp()
         actions = torch.multinomial(probs, 1, generator=self._act)
         entropy = -(probs * logprobs).sum(dim=1)
-        return Acted(actions.flatten(), logprobs.gather(1, actions).flatten(), entropy, values, latent)
+        return Acted(actions.flatten(), logprobs.gather(1, actions).flatten(), entropy, values)
 
-    def intrinsic_reward(self, latent: Tensor, next_latent: Tensor) -> Tensor:
-        """Impact of each step in CURL's latent space; (T, N, D) twice to (T, N). Zero for random play."""
-        if self.kind == "curl+random":
-            return torch.zeros(latent.shape[:-1])
-        return ride_reward(latent, next_latent)
+    def learn(self, images: Tensor, acted: Sequence[Acted]) -> Learned:
+        """Reward the steps of a rollout of N streams, and learn from them.
 
-    @torch.no_grad()
-    def world_loss(self, images: Tensor, generator: torch.Generator) -> float:
-        """The world model's loss on B observations of one world, (B, 84, 84, 3) uint8: InfoNCE among themselves."""
-        with autocast(self.config.precision):
-            return float(self.curl.loss(images, generator))
+        The last step bootstraps from the value of what it led to, also where the curriculum then leaves the world: a
+        switch is a truncation, never an end.
 
-    def update(self, rollout: Rollout) -> UpdateStats:
-        """Learn from one rollout, whose rewards are intrinsic and not yet scaled.
-
-        Policy and world model look at the same random shift of a picture, so that one pass through the encoder serves
-        both; the world model's keys are a second shift. A rollout's last step bootstraps from the value of what it led
-        to, also where the curriculum then leaves the world: a switch is a truncation, never an end.
+        Args:
+            images: what was seen before each of T steps and after the last, (T + 1, N, 84, 84, 3) uint8.
+            acted: what `act` made of each of them; of the last, only the values count.
         """
-        rewards = torch.from_numpy(self.reward_scale.normalise(rollout.rewards.double().numpy())).float()
-        rollout = Rollout(**{**vars(rollout), "rewards": rewards})
-        advantages = gae(rollout, self.config.gamma, self.config.gae_lambda)
-        batch = _Batch(
-            rollout.obs.flatten(0, 1), rollout.actions.flatten(), rollout.logprobs.flatten(),
-            rollout.values.flatten(), advantages.flatten(), (advantages + rollout.values).flatten(),
+        actions = torch.stack([one.actions for one in acted[:-1]])
+        if self.model is None:
+            nothing = UpdateStats(math.nan, math.nan, math.nan, math.nan)
+            return Learned(torch.zeros(actions.shape), torch.zeros(*actions.shape, 0), nothing)
+        self.model.watch(images[1:].flatten(0, 1))
+        parts = torch.zeros(*actions.shape, 0)
+        if self._reward is not None:
+            with autocast(self.config.ppo.precision):
+                parts = self._reward(images, actions)
+        reward = parts.sum(dim=-1)
+        stats = self._update(self._batch(images, actions, acted, reward))
+        return Learned(reward, parts, stats)
+
+    def world_loss(self, transitions: Transitions, generator: torch.Generator) -> float:
+        """The world model's loss on B steps of one world, times its `loss_scale`; not a number without a model."""
+        if self.model is None:
+            return math.nan
+        with autocast(self.config.ppo.precision):
+            return self.model.loss_scale * self.model.world_loss(transitions, generator)
+
+    def _batch(self, images: Tensor, actions: Tensor, acted: Sequence[Acted], reward: Tensor) -> "_Batch":
+        """All steps of a rollout, with the advantages of the scaled reward."""
+        ppo = self.config.ppo
+        values = torch.stack([one.values for one in acted])
+        logprobs = torch.stack([one.logprobs for one in acted[:-1]])
+        rewards = torch.from_numpy(self.reward_scale.normalise(reward.double().numpy())).float()
+        never = torch.zeros(actions.shape, dtype=torch.bool)
+        rollout = Rollout(images[:-1], actions, logprobs, rewards, values[:-1], values[1:], never, never)
+        advantages = gae(rollout, ppo.gamma, ppo.gae_lambda)
+        return _Batch(
+            obs=images[:-1].flatten(0, 1), actions=actions.flatten(), next_obs=images[1:].flatten(0, 1),
+            logprobs=logprobs.flatten(), values=values[:-1].flatten(), advantages=advantages.flatten(),
+            returns=(advantages + values[:-1]).flatten(),
         )  # fmt: skip
+
+    def _update(self, batch: "_Batch") -> UpdateStats:
+        ppo = self.config.ppo
         sums, count = torch.zeros(4), 0
-        for _ in range(self.config.update_epochs):
-            order = torch.randperm(len(batch.obs), generator=self._learn)
-            for chosen in order.split(self.config.minibatch_size):
+        for _ in range(ppo.update_epochs):
+            for chosen in torch.randperm(len(batch.obs), generator=self._learn).split(ppo.minibatch_size):
                 sums += self._minibatch(batch.take(chosen))
                 count += 1
         return UpdateStats(*(sums / count).tolist())
 
     def _minibatch(self, batch: "_Batch") -> Tensor:
         """One gradient step; returns world-model loss, policy loss, value loss and entropy."""
-        config = self.config
-        prepared = self.encoder.prepare(batch.obs)
-        with autocast(config.precision):
-            features = self.encoder(random_shift(prepared, config.shift_pad, self._learn))
-            query = self.curl.projection(features)
-            with torch.no_grad():
-                key = self.curl.key(random_shift(prepared, self.curl.config.pad, self._learn))
-            logits, values = self.policy.actor(features).float(), self.policy.critic(features).float().flatten()
-        model_loss = info_nce(query.float() @ self.curl.W @ key.float().T)
-        pg_loss, v_loss, entropy = self._policy_losses(batch, logits, values)
-        loss = model_loss
-        if self.kind == "curl+ride":
-            loss = loss + pg_loss - config.ent_coef * entropy + config.vf_coef * v_loss
+        assert self.model is not None
+        assert self.optimizer is not None
+        ppo = self.config.ppo
+        shifts = draw_shifts(len(batch.obs), ppo.shift_pad, self._learn)
+        features: Tensor | None = None
+        losses = torch.full((3,), math.nan)
+        loss = torch.zeros(())
+        if self.policy is not None:
+            with autocast(ppo.precision):
+                own = self.policy.encoder(self.policy.encoder.prepare_shifted(batch.obs, shifts))
+                logits, values = self.policy.heads(own)
+            if self.policy.encoder is self.model.encoder:
+                features = own
+            losses = self._policy_losses(batch, logits, values)
+            loss = losses @ torch.tensor([1, ppo.vf_coef, -ppo.ent_coef])
+        with autocast(ppo.precision):
+            model_loss = self.model.loss(batch.transitions, shifts, self._learn, features)
         self.optimizer.zero_grad()
-        loss.backward()
-        nn.utils.clip_grad_norm_(self._modules.parameters(), config.max_grad_norm)
+        (loss + model_loss).backward()
+        nn.utils.clip_grad_norm_(self._modules.parameters(), ppo.max_grad_norm)
         self.optimizer.step()
-        self._losses += 1
-        if self._losses % self.curl.config.update_every == 0:
-            self.curl.update_key()
-        return torch.stack([model_loss, pg_loss, v_loss, entropy]).detach()
+        self.model.stepped()
+        return torch.cat([model_loss[None], losses]).detach()
 
-    def _policy_losses(self, batch: "_Batch", logits: Tensor, values: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        config = self.config
+    def _policy_losses(self, batch: "_Batch", logits: Tensor, values: Tensor) -> Tensor:
+        """Policy loss, value loss and mean entropy, (3,)."""
+        ppo = self.config.ppo
         logprobs = F.log_softmax(logits, dim=1)
         logratio = logprobs.gather(1, batch.actions[:, None]).flatten() - batch.logprobs
         advantages = batch.advantages
-        if config.norm_adv and len(advantages) > 1:
+        if ppo.norm_adv and len(advantages) > 1:
             advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
-        clip = config.clip_coef if config.clip_vloss else None
-        return (
-            policy_loss(logratio, advantages, config.clip_coef),
-            value_loss(values, batch.values, batch.returns, clip),
-            -(logprobs.exp() * logprobs).sum(dim=1).mean(),
+        clip = ppo.clip_coef if ppo.clip_vloss else None
+        return torch.stack(
+            [
+                policy_loss(logratio, advantages, ppo.clip_coef),
+                value_loss(values, batch.values, batch.returns, clip),
+                -(logprobs.exp() * logprobs).sum(dim=1).mean(),
+            ]
         )
 
     def tensors(self) -> dict[str, Tensor]:
-        """Weights and the states of the random generators, by name (the optimiser's state is kept apart)."""
+        """Weights, running statistics and the states of the generators, by name (the optimiser's state is apart)."""
         scale = {"reward_scale": torch.from_numpy(self.reward_scale.state.copy())}
-        counters = {"losses": torch.tensor(self._losses)}
         generators = {"act": self._act.get_state(), "learn": self._learn.get_state()}
-        return {**self._modules.state_dict(), **scale, **counters, **generators}
+        return {**self._modules.state_dict(), **scale, **generators}
 
     def load_tensors(self, tensors: dict[str, Tensor]) -> None:
         """Restore what `tensors` gave."""
         rest = dict(tensors)
         self.reward_scale.state = rest.pop("reward_scale").numpy().copy()
-        self._losses = int(rest.pop("losses"))
         self._act.set_state(rest.pop("act"))
         self._learn.set_state(rest.pop("learn"))
         self._modules.load_state_dict(rest)
@@ -176,42 +253,22 @@ class Explorer:
 
 @dataclass(frozen=True)
 class _Batch:
-    """B transitions: pictures (B, 84, 84, 3) uint8, everything else (B,)."""
+    """B steps: pictures (B, 84, 84, 3) uint8, everything else (B,)."""
 
     obs: Tensor
     actions: Tensor
+    next_obs: Tensor
     logprobs: Tensor
     values: Tensor
     advantages: Tensor
     returns: Tensor
 
+    @property
+    def transitions(self) -> Transitions:
+        return Transitions(self.obs, self.actions, self.next_obs)
+
     def take(self, chosen: Tensor) -> "_Batch":
         return _Batch(**{name: values[chosen] for name, values in vars(self).items()})
-
-
-class RewardScale:
-    """Divides rewards by the running deviation of their discounted sum (Burda et al. 2018, RND).
-
-    The sum runs on through switches of world: play is not episodic. The mean is not subtracted.
-    """
-
-    def __init__(self, n_streams: int, gamma: float) -> None:
-        self._gamma = gamma
-        self.state = np.zeros(n_streams + 3)
-        """Discounted sum of each stream, then count, mean and sum of squared differences of all sums so far."""
-
-    def normalise(self, rewards: np.ndarray) -> np.ndarray:
-        """Take T steps of N streams into account, (T, N), and return them scaled."""
-        sums, (count, mean, squares) = self.state[:-3], self.state[-3:]
-        for now in rewards:
-            sums = self._gamma * sums + now
-            for value in sums:  # Welford's update, one value at a time
-                count += 1
-                step = value - mean
-                mean += step / count
-                squares += step * (value - mean)
-        self.state = np.array([*sums, count, mean, squares])
-        return rewards / (math.sqrt(squares / count) + 1e-8)
 
 
 def _generator(seed: int, name: str) -> torch.Generator:

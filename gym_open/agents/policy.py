@@ -21,8 +21,11 @@ class ActorCritic(nn.Module):
 
     def forward(self, prepared: Tensor) -> tuple[Tensor, Tensor]:
         """Action logits (B, n_actions) and values (B,), fp32, of prepared pictures (B, 3, 84, 84)."""
-        hidden = self.encoder(prepared)
-        return self.actor(hidden).float(), self.critic(hidden).float().flatten()
+        return self.heads(self.encoder(prepared))
+
+    def heads(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        """Action logits (B, n_actions) and values (B,), fp32, of the encoder's features (B, features)."""
+        return self.actor(features).float(), self.critic(features).float().flatten()
 
     def get_value(self, prepared: Tensor) -> Tensor:
         """Values (B,) of prepared pictures (B, 3, 84, 84)."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from gym_open.agents.augment import draw_shifts
 from gym_open.agents.config import PPOConfig
 from gym_open.agents.encoder import autocast
 from gym_open.agents.policy import ActorCritic
@@ -135,7 +136,8 @@ def ppo_update(
         approx_kl = torch.zeros(())
         for mb_inds in torch.randperm(len(b_obs), generator=generator).split(config.minibatch_size):
             with autocast(config.precision):
-                prepared = agent.encoder.prepare_shifted(b_obs[mb_inds], config.shift_pad, generator)
+                shifts = draw_shifts(len(mb_inds), config.shift_pad, generator)
+                prepared = agent.encoder.prepare_shifted(b_obs[mb_inds], shifts)
                 _, newlogprob, entropy, newvalue = agent.get_action_and_value(prepared, b_actions[mb_inds])
             logratio = newlogprob - b_logprobs[mb_inds]
             mb_advantages = b_advantages[mb_inds]

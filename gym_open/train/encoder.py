@@ -138,8 +138,7 @@ class _Trainer:
         loss.backward()
         self.optimizer.step()
         self.update += 1
-        if self.update % self.config.curl.update_every == 0:
-            self.curl.update_key()
+        self.curl.stepped()
         return loss.item(), contrastive_accuracy(logits).item()
 
     @torch.no_grad()

@@ -1,0 +1,112 @@
+"""RND: a world model of what has been seen, by predicting a random network's view of it (Burda et al. 2018).
+
+    loss = mean_d (f̂_d(s) − f_d(s))²,     reward = mean_d (f̂_d(s′) − f_d(s′))²,     f frozen
+
+The target f sees pixels less their running mean, over their running deviation, clipped; the running statistics are over
+everything watched so far, so the first rollout primes them: the policy is still as good as uniform then.
+
+Departures from `openai/random-network-distillation`, each with its reason:
+
+- The predictor is the encoder that the policy uses (OPEn shares them) with the predictor's head on it, so it sees the
+  encoder's centred picture and not the target's.
+- It learns from s, not s′: the policy's pass through the encoder serves it. All but the last picture of a segment are
+  some step's s.
+- The deviation of a pixel counts as one grey level at least: most pixels of a table never change.
+- Pictures are shifted in the update, the target's as the predictor's; what comes in is the mean picture.
+- Non-episodic intrinsic value without a second head: there is no reward from outside.
+"""
+
+import torch
+from torch import Tensor, nn
+
+from gym_open.agents.augment import Window, no_shifts, shift_each
+from gym_open.agents.config import RndConfig
+from gym_open.agents.encoder import IMAGE_SHAPE, Encoder, convolutions, init_layer
+from gym_open.agents.world_model import Transitions, WorldModel
+
+
+class Rnd(WorldModel):
+    """A frozen random network and a predictor of what it gives.
+
+    Attributes:
+        target: normalised pictures (B, 3, 84, 84) to (B, outputs); never learns.
+        predictor: the encoder's features to (B, outputs).
+    """
+
+    error_parts = ("error",)
+    _watched: Tensor
+    _sums: Tensor
+    _squares: Tensor
+
+    def __init__(self, encoder: Encoder, config: RndConfig, generator: torch.Generator) -> None:
+        super().__init__(encoder, config.loss_scale)
+        self.config = config
+        self.target = convolutions(config.outputs, lambda: nn.LeakyReLU(0.2), generator)
+        self.target.requires_grad_(requires_grad=False)
+        self.predictor = nn.Sequential(
+            nn.Linear(encoder.config.features, config.hidden), nn.ReLU(),
+            nn.Linear(config.hidden, config.hidden), nn.ReLU(),
+            nn.Linear(config.hidden, config.outputs),
+        )  # fmt: skip
+        for layer in self.predictor:
+            if isinstance(layer, nn.Linear):
+                init_layer(layer, generator)
+        # Sums of integers are exact, so they do not depend on the order in which threads add.
+        self.register_buffer("_watched", torch.zeros((), dtype=torch.int64))
+        self.register_buffer("_sums", torch.zeros(IMAGE_SHAPE, dtype=torch.int64))
+        self.register_buffer("_squares", torch.zeros(IMAGE_SHAPE, dtype=torch.int64))
+
+    def watch(self, images: Tensor) -> None:
+        """Let (B, 84, 84, 3) uint8 pictures count in each pixel's mean and deviation."""
+        self._watched += len(images)
+        self._sums += images.sum(dim=0, dtype=torch.int64)
+        self._squares += images.int().square().sum(dim=0, dtype=torch.int64)
+
+    def normalised(self, images: Tensor, shifts: Tensor) -> Tensor:
+        """What the target sees: `clip((image − mean) / max(deviation, 1), ±clip)`, then shifted, zero coming in.
+
+        Args:
+            images: (B, 84, 84, 3) uint8.
+            shifts: (B, 2) int64.
+
+        Returns:
+            (B, 3, 84, 84) fp32 in channels-last memory order.
+        """
+        count = self._watched.clamp(min=1)
+        mean = self._sums.double() / count
+        deviation = (self._squares.double() / count - mean.square()).clamp(min=1).sqrt()
+        weight, offset = (1 / deviation).float(), (-mean / deviation).float()
+
+        def place(source: Tensor, window: Window, out: Tensor) -> None:
+            torch.addcmul(offset[window], source, weight[window], out=out)
+
+        return shift_each(images, shifts, place, torch.float32).clamp_(-self.config.clip, self.config.clip)
+
+    def loss(
+        self,
+        transitions: Transitions,
+        shifts: Tensor,
+        generator: torch.Generator,  # noqa: ARG002  (all shifts are given)
+        features: Tensor | None = None,
+    ) -> Tensor:
+        """Mean square error of the prediction over B observations."""
+        if features is None:
+            features = self.features(transitions.obs, shifts)
+        return self._error(transitions.obs, shifts, features).mean()
+
+    @torch.no_grad()
+    def errors(self, transitions: Transitions) -> dict[str, Tensor]:
+        """`error`: the mean square error for what each step led to."""
+        shifts = no_shifts(len(transitions.next_obs))
+        return {"error": self._error(transitions.next_obs, shifts, self.features(transitions.next_obs, shifts))}
+
+    @torch.no_grad()
+    def latent(self, images: Tensor) -> Tensor:
+        """What the predictor gives for B pictures, (B, outputs)."""
+        return self.predictor(self.features(images, no_shifts(len(images)))).float()
+
+    def _error(self, images: Tensor, shifts: Tensor, features: Tensor) -> Tensor:
+        """Square error averaged over the outputs, (B,) fp32, given the encoder's features of the shifted pictures."""
+        with torch.no_grad():
+            target = self.target(self.normalised(images, shifts)).float()
+        return (self.predictor(features).float() - target).square().mean(dim=1)
