@@ -6,6 +6,7 @@ out once; the rest, a few messages in thousands, is put together value by value.
 
 import functools
 import struct
+from collections.abc import Iterator
 
 import msgspec
 import numpy as np
@@ -14,12 +15,21 @@ from gym_open.envs.constants import IMAGE_SIZE
 from gym_open.envs.physics.contacts import Contact
 from gym_open.envs.puzzles import Puzzle
 from gym_open.formats.log_cdr import ENCAPSULATION, CdrReader, CdrWriter
+from gym_open.formats.log_container import Logged
 from gym_open.formats.log_schemas import (
     DEPTH,
+    EVENTS,
     IMAGE,
     METRIC_NAMES,
+    METRICS,
+    SEGMENT,
     SEGMENTATION,
     STATE_WIDTH,
+    STEP,
+    STEP_NS,
+    STUCK,
+    SWITCH,
+    Record,
     SegmentStart,
     StepRecord,
     Stuck,
@@ -32,6 +42,40 @@ PIXELS: dict[str, tuple[str, np.dtype, tuple[int, ...]]] = {
     SEGMENTATION: ("32SC1", np.dtype("<i4"), (IMAGE_SIZE, IMAGE_SIZE)),
 }
 """ROS's name of the pixels, their type, and the shape of the picture, of each topic with pictures."""
+
+
+def messages_of(record: Record, reward_parts: tuple[str, ...] = ()) -> Iterator[Logged]:
+    """The messages that a record makes, in their order; `reward_parts` names those of a step's reward."""
+    match record:
+        case SegmentStart():
+            time = (record.first_step + record.segment_step) * STEP_NS
+            yield Logged(SEGMENT, time, encode_segment(record))
+            yield from _pictures(record, time)
+        case StepRecord():
+            time = record.step * STEP_NS
+            yield Logged(STEP, time, encode_step(record))
+            yield Logged(METRICS, time, encode_metrics(record, reward_parts, time))
+            yield from _pictures(record, time + STEP_NS)
+        case Switch():
+            time = record.step * STEP_NS
+            words = f"step {record.step}: world {record.from_world} -> {record.to_world} ({record.reason})"
+            yield Logged(SWITCH, time, encode_switch(record))
+            yield Logged(EVENTS, time, encode_text(words))
+        case Stuck():
+            time = record.step * STEP_NS
+            where = f"{record.position[0]:.2f}, {record.position[1]:.2f}, {record.position[2]:.2f}"
+            how = ("stuck in a corner" if record.kind == "corner" else "stuck") if record.began else "free again"
+            yield Logged(STUCK, time, encode_stuck(record))
+            yield Logged(EVENTS, time, encode_text(f"step {record.step}: {record.name} {how} at ({where})"))
+
+
+def _pictures(record: SegmentStart | StepRecord, time: int) -> Iterator[Logged]:
+    yield Logged(IMAGE, time, encode_image(IMAGE, record.image, time))
+    if record.depth is not None:
+        yield Logged(DEPTH, time, encode_image(DEPTH, record.depth, time))
+    if record.segmentation is not None:
+        yield Logged(SEGMENTATION, time, encode_image(SEGMENTATION, record.segmentation, time))
+
 
 _STAMP = struct.Struct("<4siI")
 """Encapsulation, seconds, nanoseconds: how every message begins that has a header."""
@@ -246,16 +290,11 @@ def decode_stuck(message: bytes) -> Stuck:
     return msgspec.convert({**fields, "position": data.vector(3)}, Stuck)
 
 
-def metric_names(reward_parts: tuple[str, ...]) -> tuple[str, ...]:
-    """Names in a message of `/metrics`: the four figures of a step, then the parts of its reward."""
-    return METRIC_NAMES + tuple(f"intrinsic_reward/{part}" for part in reward_parts)
-
-
-def encode_metrics(record: StepRecord, names: tuple[str, ...], nanoseconds: int) -> bytes:
-    """`sensor_msgs/msg/JointState`: the step's scalars by `metric_names`, which viewers plot without further ado."""
+def encode_metrics(record: StepRecord, reward_parts: tuple[str, ...], nanoseconds: int) -> bytes:
+    """`sensor_msgs/msg/JointState`: a step's figures and the named parts of its reward, which viewers plot."""
     figures = (record.intrinsic_reward, record.world_model_loss, record.policy_entropy, record.value)
-    values = _metrics(len(names)).pack(*figures, *record.reward_parts, 0, 0)
-    return b"".join((_stamp(nanoseconds), _before_metrics(names), values))
+    values = _metrics(4 + len(reward_parts)).pack(*figures, *record.reward_parts, 0, 0)
+    return b"".join((_stamp(nanoseconds), _before_metrics(reward_parts), values))
 
 
 @functools.cache
@@ -265,8 +304,9 @@ def _metrics(count: int) -> struct.Struct:
 
 
 @functools.cache
-def _before_metrics(names: tuple[str, ...]) -> bytes:
+def _before_metrics(reward_parts: tuple[str, ...]) -> bytes:
     """All of a metrics message between its stamp and its numbers."""
+    names = METRIC_NAMES + tuple(f"intrinsic_reward/{part}" for part in reward_parts)
     out = _header()
     out.strings(names)
     out.scalar("I", len(names))

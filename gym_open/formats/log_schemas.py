@@ -3,7 +3,7 @@
 `log_messages` turns records into messages and back; docs/data-format.md has the layout of a file.
 """
 
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -44,6 +44,22 @@ class LogError(ArtefactError):
 def log_name(stream: int, part: int) -> str:
     """Name of the file with part `part` of a stream's log, both counted from 0."""
     return f"stream-{stream:03d}-{part:03d}.mcap"
+
+
+class LogHead(msgspec.Struct, frozen=True):
+    """What a log says about itself: with it the log alone suffices to replay what it holds."""
+
+    stream: int
+    config: dict[str, Any]
+    puzzles: tuple[Puzzle, ...]
+    """The pool; worlds are named by their place in it."""
+    provenance: dict[str, str]
+    """Code version, package versions, seed."""
+    model_xml: str
+    reward_parts: tuple[str, ...] = ()
+    """Names of what the intrinsic reward is made of, as `StepRecord.reward_parts` has the numbers."""
+    keyframe_every: int = 256
+    """Steps of a segment between two keyframes."""
 
 
 class SegmentStart(msgspec.Struct, frozen=True, eq=False):
@@ -127,6 +143,10 @@ class Stuck(msgspec.Struct, frozen=True):
     """Stuck from here on, or free again."""
     position: tuple[float, float, float]
     """Metres."""
+
+
+Record = SegmentStart | StepRecord | Switch | Stuck
+"""What is written to a log, in the order in which it happens."""
 
 
 class Keyframe(msgspec.Struct, frozen=True, eq=False):

@@ -1,139 +1,137 @@
-"""Writing a log: one MCAP file a stream, whose bytes depend on what is logged and on nothing else."""
+"""Writing a log: the files of one stream, whose bytes depend on what is logged and on nothing else.
 
-import os
-from collections.abc import Iterator
-from itertools import chain
+Whoever plays hands over records and goes on; one thread a writer turns them into messages and writes those. It gets
+them in batches: between two threads of Python, handing over is what costs.
+"""
+
 from pathlib import Path
+from queue import Queue
+from threading import Thread
 from types import TracebackType
-from typing import Any, Self
+from typing import NamedTuple, Self
 
-import msgspec
-import numpy as np
-from mcap.well_known import MessageEncoding, SchemaEncoding
-from mcap.writer import CompressionType, Writer
+from gym_open.formats.log_files import LogFiles
+from gym_open.formats.log_schemas import LogHead, Record, SegmentStart, StepRecord, Stuck, Switch
 
-from gym_open.artefacts import canonical_json
-from gym_open.envs.puzzles import Puzzle
-from gym_open.formats import log_schemas as schemas
-from gym_open.formats.log_container import Logged, whole_chunks
-from gym_open.formats.log_schemas import LogError, SegmentStart, StepRecord, Switch
-
-CHUNK_BYTES = 4 * 2**20
-"""A chunk is closed when it holds this much, or at `flush`."""
-CONFIG, MODEL, POOL, HEAD = "config.json", "model.xml", "puzzles.json", "gym-open"
+ROLL_BYTES = 256 * 2**20
+"""A file is followed by another when it has this many bytes, or somewhat more: at the next keyframe."""
+BATCH = 256
+"""Records that are handed over at once; of 84×84 pictures some 6 MB."""
+QUEUE = 3
+"""Batches that may wait. Then whoever plays waits, too."""
 
 
-class LogHead(msgspec.Struct, frozen=True):
-    """What a log says about itself: with it the log alone suffices to replay what it holds."""
-
-    stream: int
-    config: dict[str, Any]
-    puzzles: tuple[Puzzle, ...]
-    """The pool; worlds are named by their place in it."""
-    provenance: dict[str, str]
-    """Code version, package versions, seed."""
-    model_xml: str
+class _Batch(NamedTuple):
+    records: list[Record]
+    flush: bool = False
+    sync: bool = False
 
 
 class LogWriter:
-    """Writes one stream's log at `path`; use as a context, or call `close`.
+    """Writes one stream's log in `folder`; use as a context, or call `close`.
 
-    A segment is a `segment`, then a `step` for each action; a `switch` goes before the first segment and after every
-    one. What was written before a `flush` outlives the process.
+    A segment is a `segment`, then a `step` for each action, with a further `segment` before every `keyframe_every`-th;
+    a `switch` goes before the first segment and after every one. Records are written later, by another thread: the
+    arrays in them must not be changed any more. What was logged before a `sync` outlives this process and a power cut.
+
+    Raises:
+        LogError: from any method, if the disk is full or what is logged is not what had been logged before a kill.
+        ValueError: if the pictures of an earlier record were not as they should be.
     """
 
-    def __init__(self, path: Path, head: LogHead) -> None:
-        self._path = path
-        self._file = path.open("wb")
-        self._writer = Writer(self._file, CHUNK_BYTES, CompressionType.ZSTD, enable_crcs=True, enable_data_crcs=True)
-        self._writer.start(profile="ros2")
-        self._channels: dict[str, int] = {}
-        for topic, (name, definition) in schemas.DEFINITIONS.items():
-            schema = self._writer.register_schema(name, SchemaEncoding.ROS2, definition.encode())
-            self._channels[topic] = self._writer.register_channel(topic, MessageEncoding.CDR, schema)
-        pool = canonical_json([msgspec.json.decode(puzzle.to_json()) for puzzle in head.puzzles])
-        self._attach(CONFIG, "application/json", canonical_json(head.config))
-        self._attach(MODEL, "application/xml", head.model_xml.encode())
-        self._attach(POOL, "application/json", pool)
-        identity = {"format": schemas.FORMAT, "step_ns": str(schemas.STEP_NS), "stream": str(head.stream)}
-        self._writer.add_metadata(HEAD, identity)
-        self._writer.add_metadata("provenance", dict(sorted(head.provenance.items())))
-        self._expected: Iterator[Logged] = iter(())
-        self.messages = 0
-        """Messages written so far."""
+    def __init__(
+        self, folder: Path, head: LogHead, *, roll_bytes: int = ROLL_BYTES, begun: LogFiles | None = None
+    ) -> None:
+        """With `begun`, go on with files that were begun before: see `log_resume`."""
+        self._files = begun or LogFiles(folder, head, roll_bytes)
+        self._records: list[Record] = []
+        self._error: BaseException | None = None
+        self._queue: Queue[_Batch | None] = Queue(QUEUE)
+        self._thread = Thread(target=self._work, name=f"log of stream {head.stream}", daemon=True)
+        self._thread.start()
 
-    def _attach(self, name: str, media_type: str, data: bytes) -> None:
-        self._writer.add_attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)
-
-    def resume(self, killed: Path, messages: int) -> None:
-        """Take over the first `messages` messages of a killed writer's file, and hold what follows to the rest of it.
-
-        Raises:
-            LogError: if the file holds fewer; later, from any write, if a message is not the one that had been logged.
-        """
-        chunks = whole_chunks(killed)
-        while self.messages < messages:
-            chunk = next(chunks, None)
-            if chunk is None:
-                raise LogError(
-                    f"{killed}: its whole chunks hold {self.messages} messages, the checkpoint was taken after "
-                    f"{messages}; the file was changed since: restore it, or remove the unfinished folder to start over"
-                )
-            for message in chunk:
-                self._add(message)
-            self.flush()
-        self._expected = chain.from_iterable(chunks)
-
-    def _add(self, message: Logged) -> None:
-        expected = next(self._expected, message)
-        if expected != message:
-            raise LogError(
-                f"{self._path}: message {self.messages} ({message.topic}) is not the one that had been logged before "
-                "the run was killed, so going on would not be the same run (another machine or changed packages?); "
-                "the old log is kept: move the unfinished folder away to start over"
-            )
-        self._writer.add_message(
-            channel_id=self._channels[message.topic], log_time=message.time, publish_time=message.time,
-            sequence=self.messages, data=message.data,
-        )  # fmt: skip
-        self.messages += 1
+    @property
+    def messages(self) -> int:
+        """Messages in the files; right after a `sync`."""
+        return self._files.messages
 
     def segment(self, start: SegmentStart) -> None:
-        """Log that a world is entered, with its first observation."""
-        time = start.first_step * schemas.STEP_NS
-        self._add(Logged(schemas.SEGMENT, time, schemas.encode_segment(start)))
-        self._image(start.image, time)
+        """Log that a world is entered, or a keyframe within a segment, with the observation of that moment."""
+        self._put(start)
 
     def step(self, record: StepRecord) -> None:
         """Log an action at its beginning and the observation at its end."""
-        time = record.step * schemas.STEP_NS
-        self._add(Logged(schemas.STEP, time, schemas.encode_step(record)))
-        self._add(Logged(schemas.METRICS, time, schemas.encode_metrics(record, time)))
-        self._image(record.image, time + schemas.STEP_NS)
-
-    def _image(self, image: np.ndarray, time: int) -> None:
-        self._add(Logged(schemas.IMAGE, time, schemas.encode_image(image, time)))
+        self._put(record)
 
     def switch(self, switch: Switch) -> None:
         """Log a decision of the curriculum, for programs and in words."""
-        time = switch.step * schemas.STEP_NS
-        text = f"step {switch.step}: world {switch.from_world} -> {switch.to_world} ({switch.reason})"
-        self._add(Logged(schemas.SWITCH, time, schemas.encode_switch(switch)))
-        self._add(Logged(schemas.EVENTS, time, schemas.encode_text(text)))
+        self._put(switch)
+
+    def stuck(self, stuck: Stuck) -> None:
+        """Log that something cannot move any more, or can again, for programs and in words."""
+        self._put(stuck)
 
     def flush(self) -> None:
-        """End the chunk: all that was written is safe from a kill of this process."""
-        self._writer.flush()
+        """End the chunk: once it is written, all before is safe from a kill of this process. Waits for nothing."""
+        self._hand_over(flush=True)
 
     def sync(self) -> None:
-        """Flush to the disk itself: safe from a power cut too."""
-        self.flush()
-        os.fsync(self._file.fileno())
+        """Wait until all is on the disk itself: safe from a power cut too."""
+        self._hand_over(flush=True, sync=True)
+        self._queue.join()
+        self._check()
 
     def close(self) -> None:
-        """Write the index; the file is whole after this."""
-        self._writer.finish()
-        self._file.close()
+        """Wait for the rest and write the index; the log is whole after this."""
+        try:
+            self.sync()
+            self._stop()
+            self._files.finish()
+        finally:
+            self.abandon()
+
+    def abandon(self) -> None:
+        """Stop without an index: a reader must see that the log is not whole."""
+        self._stop()
+        self._files.abandon()
+
+    def _put(self, record: Record) -> None:
+        self._check()
+        self._records.append(record)
+        if len(self._records) == BATCH:
+            self._hand_over()
+
+    def _hand_over(self, *, flush: bool = False, sync: bool = False) -> None:
+        self._check()
+        self._queue.put(_Batch(self._records, flush, sync))
+        self._records = []
+
+    def _check(self) -> None:
+        if self._error is not None:
+            raise self._error
+
+    def _work(self) -> None:
+        """The thread: write batch after batch; after an error, let the rest go, so that nobody waits for ever."""
+        while (batch := self._queue.get()) is not None:
+            try:
+                if self._error is None:
+                    self._write(batch)
+            except BaseException as error:  # whoever plays raises it
+                self._error = error
+            self._queue.task_done()
+
+    def _write(self, batch: _Batch) -> None:
+        for record in batch.records:
+            self._files.add(record)
+        if batch.flush:
+            self._files.flush()
+        if batch.sync:
+            self._files.sync()
+
+    def _stop(self) -> None:
+        if self._thread.is_alive():
+            self._queue.put(None)
+            self._thread.join()
 
     def __enter__(self) -> Self:
         return self
@@ -142,4 +140,4 @@ class LogWriter:
         if kind is None:
             self.close()
         else:
-            self._file.close()  # unfinished on purpose: a reader must see that the log is not whole
+            self.abandon()

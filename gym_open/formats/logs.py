@@ -1,12 +1,23 @@
-"""Logs of exploration, one MCAP file a stream: the front door to writing and reading them.
+"""Logs of exploration, in MCAP: the front door to writing and reading them.
 
-The layout is in docs/data-format.md. `LogWriter` writes, `open_log` checks and reads; the other modules named `log_*`
-are how they do it: the container, the messages, the encoding.
+The layout is in docs/data-format.md. `LogWriter` writes, `resume_writer` goes on where a killed one left off,
+`open_log` checks and reads; the other modules named `log_*` are how they do it: the container, the messages, the
+encoding.
 """
 
 from gym_open.formats.log_reader import Log, log_files, open_log
-from gym_open.formats.log_schemas import LogError, Segment, SegmentStart, StepRecord, Switch
-from gym_open.formats.log_writer import LogHead, LogWriter
+from gym_open.formats.log_resume import resume_writer
+from gym_open.formats.log_schemas import (
+    LogError,
+    LogHead,
+    Segment,
+    SegmentStart,
+    StepRecord,
+    Stuck,
+    Switch,
+    log_name,
+)
+from gym_open.formats.log_writer import LogWriter
 
 __all__ = [
     "Log",
@@ -16,7 +27,10 @@ __all__ = [
     "Segment",
     "SegmentStart",
     "StepRecord",
+    "Stuck",
     "Switch",
     "log_files",
+    "log_name",
     "open_log",
+    "resume_writer",
 ]

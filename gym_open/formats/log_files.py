@@ -1,0 +1,136 @@
+"""The files of one stream's log: messages go into one of them until it is large, then into the next."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import msgspec
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap.writer import CompressionType, Writer
+
+from gym_open.artefacts import canonical_json
+from gym_open.formats import log_schemas as schemas
+from gym_open.formats.log_container import Logged
+from gym_open.formats.log_messages import messages_of
+from gym_open.formats.log_schemas import LogError, LogHead, Record, SegmentStart
+
+CHUNK_BYTES = 4 * 2**20
+"""A chunk is closed when it holds this much, or at `flush`."""
+
+
+class LogFiles:
+    """Writes one stream's records in `folder`, from part `part` on; for one thread at a time.
+
+    Raises:
+        LogError: from any method, if the disk is full, or a message is not the one that was `expected`.
+    """
+
+    def __init__(self, folder: Path, head: LogHead, roll_bytes: int, *, part: int = 0, messages: int = 0) -> None:
+        self._folder, self._head, self._roll_bytes = folder, head, roll_bytes
+        self.messages = messages
+        """Messages in all parts together."""
+        self.expected: Iterator[Logged] = iter(())
+        """What a killed writer had written after this; as long as there is any, messages are compared with it."""
+        self._open(part)
+
+    def _open(self, part: int) -> None:
+        self._part, self._first = part, self.messages
+        self._path = self._folder / schemas.log_name(self._head.stream, part)
+        with self._full_disk():
+            self._file = self._path.open("wb")
+            self._writer = Writer(
+                self._file, CHUNK_BYTES, CompressionType.ZSTD, enable_crcs=True, enable_data_crcs=True
+            )
+            self._writer.start(profile="ros2")
+            self._write_head()
+
+    def _write_head(self) -> None:
+        head, writer = self._head, self._writer
+        types: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+        for topic, (name, definition) in schemas.DEFINITIONS.items():
+            if name not in types:
+                types[name] = writer.register_schema(name, SchemaEncoding.ROS2, definition.encode())
+            self._channels[topic] = writer.register_channel(topic, MessageEncoding.CDR, types[name])
+        pool = canonical_json([msgspec.json.decode(puzzle.to_json()) for puzzle in head.puzzles])
+        for name, media_type, data in (
+            (schemas.CONFIG, "application/json", canonical_json(head.config)),
+            (schemas.MODEL, "application/xml", head.model_xml.encode()),
+            (schemas.POOL, "application/json", pool),
+        ):
+            writer.add_attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)
+        identity = {
+            "format": schemas.FORMAT,
+            "keyframe_every": str(head.keyframe_every),
+            "part": str(self._part),
+            "reward_parts": msgspec.json.encode(head.reward_parts).decode(),
+            "step_ns": str(schemas.STEP_NS),
+            "stream": str(head.stream),
+        }
+        writer.add_metadata(schemas.HEAD, identity)
+        writer.add_metadata(schemas.PROVENANCE, dict(sorted(head.provenance.items())))
+
+    def add(self, record: Record) -> None:
+        """Write a record; in a new file, if this one is large and the record is a keyframe."""
+        if isinstance(record, SegmentStart) and self.messages > self._first and self._file.tell() >= self._roll_bytes:
+            self._roll()
+        for message in messages_of(record, self._head.reward_parts):
+            self.put(message)
+
+    def _roll(self) -> None:
+        with self._full_disk():
+            self._writer.flush()
+            self._writer.add_metadata(schemas.CONTINUES, {"part": str(self._part + 1)})
+        self.finish()
+        self._open(self._part + 1)
+
+    def put(self, message: Logged) -> None:
+        """Write a message."""
+        expected = next(self.expected, message)
+        if expected != message:
+            raise LogError(
+                f"{self._path}: message {self.messages} ({message.topic}) is not the one that had been logged before "
+                "the run was killed, so going on would not be the same run (another machine or changed packages?); "
+                "the old log is kept: move the unfinished folder away to start over"
+            )
+        with self._full_disk():
+            self._writer.add_message(
+                channel_id=self._channels[message.topic], log_time=message.time, publish_time=message.time,
+                sequence=self.messages, data=message.data,
+            )  # fmt: skip
+        self.messages += 1
+
+    def flush(self) -> None:
+        """End the chunk: all that was written is safe from a kill of this process."""
+        with self._full_disk():
+            self._writer.flush()
+
+    def sync(self) -> None:
+        """Flush to the disk itself: safe from a power cut too."""
+        self.flush()
+        with self._full_disk():
+            os.fsync(self._file.fileno())
+
+    def finish(self) -> None:
+        """Write the file's index; it is whole after this."""
+        with self._full_disk():
+            self._writer.finish()
+            self._file.flush()
+            os.fsync(self._file.fileno())
+            self._file.close()
+
+    def abandon(self) -> None:
+        """Close the file unfinished: a reader must see that the log is not whole."""
+        with suppress(OSError):
+            self._file.close()
+
+    @contextmanager
+    def _full_disk(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise LogError(
+                f"{self._path}: cannot be written ({error.strerror}); what was written before is kept: make room, then "
+                "run the same command again (it goes on)"
+            ) from error
