@@ -7,24 +7,30 @@ records is our own, so that an error can say at which byte the damage is and how
 import struct
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple, TypeVar
 
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Message, Metadata
+from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
 MAX_CHUNK = 64 * 2**20
-"""Bytes that one chunk may unpack to; ours are of 4 MiB."""
-MAX_EXPANSION = 1000
-"""How many times its size a file may unpack to. Its index takes 50 bytes a step of 23 kB, so ours stay under 500."""
+"""Bytes that one chunk may unpack to, and that any record may have; ours are of 4 MiB."""
+MAX_EXPANSION = 2000
+"""How many times its size a file may unpack to. The index alone takes 16 bytes a message, so ours stay under 1000."""
+
+T = TypeVar("T")
 
 _HEAD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")
+"""Channel, sequence, time of logging, time of publishing; then the message's bytes."""
+_UNPACKED = struct.Struct("<QQQ")
+"""How a chunk begins: first time, last time, size when unpacked."""
 
 
 class Damage(Exception):  # noqa: N818 - it becomes a LogError, which names the file
@@ -51,11 +57,20 @@ class Place(NamedTuple):
 
 
 class Contents(NamedTuple):
-    """What a whole file holds beside its messages."""
+    """What a file holds beside its messages."""
 
     chunks: list[Place]
     attachments: dict[str, bytes]
     metadata: dict[str, dict[str, str]]
+    schemas: dict[int, tuple[str, str]]
+    """Message type and its definition, by number. Like `channels` from the summary, which stands at the file's end."""
+    channels: dict[int, tuple[str, int]]
+    """Topic and number of its schema, by number."""
+
+    @property
+    def topics(self) -> dict[int, str]:
+        """Topic of each channel number."""
+        return {number: topic for number, (topic, _) in self.channels.items()}
 
 
 class _Record(NamedTuple):
@@ -65,10 +80,10 @@ class _Record(NamedTuple):
 
 
 def _records(file: BinaryIO, size: int) -> Iterator[_Record]:
-    """Records in order, the footer last. Raises `Damage` where the file stops making sense."""
+    """Records in order, the footer last. Raises `Damage` where the file stops making sense or would unpack too far."""
     if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
         raise Damage(0, "not an MCAP file (its first bytes are another format's)")
-    offset, opcode = len(MCAP0_MAGIC), 0
+    offset, opcode, unpacked = len(MCAP0_MAGIC), 0, 0
     while opcode != Opcode.FOOTER:
         head = file.read(_HEAD.size)
         if len(head) < _HEAD.size:
@@ -77,30 +92,80 @@ def _records(file: BinaryIO, size: int) -> Iterator[_Record]:
         if length > size - offset - _HEAD.size:
             missing = length - (size - offset - _HEAD.size)
             raise Damage(offset, f"the file is cut off: the record that begins here lacks {missing} bytes")
-        yield _Record(offset, opcode, file.read(length))
+        if length > MAX_CHUNK:
+            raise Damage(offset, f"a record has {length} bytes, the limit is {MAX_CHUNK}; refused")
+        record = _Record(offset, opcode, file.read(length))
+        unpacked += _unpacked_size(record) if opcode == Opcode.CHUNK else 0
+        if unpacked > MAX_EXPANSION * size:
+            raise Damage(0, f"it would unpack to more than {MAX_EXPANSION} times its size; refused")
+        yield record
         offset += _HEAD.size + length
     if file.read() != MCAP0_MAGIC:
         raise Damage(offset, "the file does not end where its footer does")
 
 
+def _unpacked_size(record: _Record) -> int:
+    with _damage_at(record.offset):
+        unpacked = _UNPACKED.unpack_from(record.data)[2]
+    if unpacked > MAX_CHUNK:
+        raise Damage(record.offset, f"a chunk would unpack to {unpacked} bytes, the limit is {MAX_CHUNK}; refused")
+    return unpacked
+
+
+def scan(path: Path) -> tuple[Contents, Damage | None]:
+    """Check the whole file at `path`: data CRC, summary CRC, sizes.
+
+    Returns:
+        What it holds beside its messages, as far as it could be read, and the first byte that cannot be right, if any.
+    """
+    contents, check = Contents([], {}, {}, {}, {}), _Checksums()
+    try:
+        with path.open("rb") as file:
+            for record in _records(file, path.stat().st_size):
+                check.update(record)
+                with _damage_at(record.offset):
+                    _note(record, contents)
+        check.finish()
+    except Damage as damage:
+        return contents, _first_damage(path, damage)
+    return contents, None
+
+
+def _first_damage(path: Path, found: Damage) -> Damage:
+    """The first chunk that does not unpack as it says: the CRC of the data section tells no place."""
+    try:
+        for _ in chunks(path, found.offset):
+            pass
+    except Damage as earlier:
+        return earlier
+    return found
+
+
 def read_contents(path: Path) -> Contents:
-    """Check the whole file at `path` (data CRC, summary CRC, sizes) and return what it holds beside its messages.
+    """Check the whole file at `path` and return what it holds beside its messages.
 
     Raises:
         Damage: at the first byte that cannot be right.
     """
-    contents = Contents([], {}, {})
-    size, unpacked = path.stat().st_size, 0
-    check = _Checksums()
+    contents, damage = scan(path)
+    if damage is not None:
+        raise damage
+    return contents
+
+
+def read_head(path: Path) -> Contents:
+    """What stands before the first chunk: attachments and metadata, each made sure of as far as that goes alone.
+
+    Raises:
+        Damage: if the file ends or stops making sense before that.
+    """
+    contents = Contents([], {}, {}, {}, {})
     with path.open("rb") as file:
-        for record in _records(file, size):
-            check.update(record)
+        for record in _records(file, path.stat().st_size):
+            if record.opcode in {Opcode.CHUNK, Opcode.DATA_END}:
+                break
             with _damage_at(record.offset):
                 _note(record, contents)
-                unpacked += _unpacked_size(record) if record.opcode == Opcode.CHUNK else 0
-    check.finish()
-    if unpacked > MAX_EXPANSION * size:
-        raise Damage(0, f"it would unpack to {unpacked} bytes, more than {MAX_EXPANSION} times its size; refused")
     return contents
 
 
@@ -108,15 +173,33 @@ def _note(record: _Record, contents: Contents) -> None:
     stream = ReadDataStream(BytesIO(record.data))
     if record.opcode == Opcode.CHUNK:
         contents.chunks.append(Place(record.offset, {}))
+    elif record.opcode == Opcode.MESSAGE:
+        raise ValueError("a message outside of the chunks, where no CRC of a chunk covers it")
     elif record.opcode == Opcode.MESSAGE_INDEX:
         channel, length = struct.unpack_from("<HI", record.data)
         contents.chunks[-1].counts[channel] = length // 16
+    elif record.opcode == Opcode.SCHEMA:
+        schema = Schema.read(stream)
+        contents.schemas[schema.id] = (schema.name, schema.data.decode())
+    elif record.opcode == Opcode.CHANNEL:
+        channel = Channel.read(stream)
+        contents.channels[channel.id] = (channel.topic, channel.schema_id)
     elif record.opcode == Opcode.ATTACHMENT:
         attachment = Attachment.read(stream)
-        contents.attachments[attachment.name] = attachment.data
+        if int.from_bytes(record.data[-4:], "little") != zlib.crc32(record.data[:-4]):
+            raise ValueError(f"the CRC of the attachment {attachment.name!r} is wrong: bytes were changed")
+        _add(contents.attachments, attachment.name, attachment.data)
+        if sum(map(len, contents.attachments.values())) > MAX_CHUNK:
+            raise ValueError(f"the attachments have more than {MAX_CHUNK} bytes; refused")
     elif record.opcode == Opcode.METADATA:
         entry = Metadata.read(stream)
-        contents.metadata[entry.name] = entry.metadata
+        _add(contents.metadata, entry.name, entry.metadata)
+
+
+def _add(known: dict[str, T], name: str, value: T) -> None:
+    if name in known:
+        raise ValueError(f"{name!r} is there twice")
+    known[name] = value
 
 
 @contextmanager
@@ -157,13 +240,6 @@ class _Checksums:
             raise Damage(0, "it has no checksums, so it cannot be trusted")
 
 
-def _unpacked_size(record: _Record) -> int:
-    unpacked = Chunk.read(ReadDataStream(BytesIO(record.data))).uncompressed_size
-    if unpacked > MAX_CHUNK:
-        raise Damage(record.offset, f"a chunk would unpack to {unpacked} bytes, the limit is {MAX_CHUNK}; refused")
-    return unpacked
-
-
 def read_chunk(path: Path, place: Place, topics: dict[int, str]) -> Iterator[Logged]:
     """Messages of one chunk in the order of writing; `topics` by channel number is added to as channels appear.
 
@@ -176,23 +252,25 @@ def read_chunk(path: Path, place: Place, topics: dict[int, str]) -> Iterator[Log
         yield from _messages(_Record(place.offset, opcode, file.read(length)), topics)
 
 
-def whole_chunks(path: Path, end: int | None = None) -> Iterator[list[Logged]]:
-    """Messages of each whole chunk from the beginning of a file that may be cut off or damaged; never raises `Damage`.
+def chunks(path: Path, end: int | None = None) -> Iterator[list[Logged]]:
+    """Messages of each chunk from the beginning of a file of any kind; chunks from byte `end` on are left alone.
 
-    This is what can be saved of a log whose writer was killed. Chunks from byte `end` on are left alone.
+    Raises:
+        Damage: where the file is cut off, or a chunk does not unpack to what it says.
     """
     topics: dict[int, str] = {}
-    size = path.stat().st_size
-    end = size if end is None else end
     with path.open("rb") as file:
-        try:
-            for record in _records(file, size):
-                if record.offset >= end:
-                    return
-                if record.opcode == Opcode.CHUNK:
-                    yield list(_messages(record, topics))
-        except Damage:
-            return
+        for record in _records(file, path.stat().st_size):
+            if end is not None and record.offset >= end:
+                return
+            if record.opcode == Opcode.CHUNK:
+                yield list(_messages(record, topics))
+
+
+def whole_chunks(path: Path, end: int | None = None) -> Iterator[list[Logged]]:
+    """As `chunks`, up to the damage: what can be saved of a log whose writer was killed."""
+    with suppress(Damage):
+        yield from chunks(path, end)
 
 
 def _messages(record: _Record, topics: dict[int, str]) -> Iterator[Logged]:
@@ -201,15 +279,15 @@ def _messages(record: _Record, topics: dict[int, str]) -> Iterator[Logged]:
         offset = 0
         while offset < len(raw):
             opcode, length = _HEAD.unpack_from(raw, offset)
-            offset += _HEAD.size
-            stream = ReadDataStream(BytesIO(raw[offset : offset + length]))
+            start, offset = offset + _HEAD.size, offset + _HEAD.size + length
+            if offset > len(raw):
+                raise ValueError("a record in the chunk is longer than the chunk")
             if opcode == Opcode.CHANNEL:
-                channel = Channel.read(stream)
+                channel = Channel.read(ReadDataStream(BytesIO(raw[start:offset])))
                 topics[channel.id] = channel.topic
             elif opcode == Opcode.MESSAGE:
-                message = Message.read(stream, length)
-                yield Logged(topics.get(message.channel_id, ""), message.log_time, message.data)
-            offset += length
+                number, _, time, _ = _MESSAGE.unpack_from(raw, start)
+                yield Logged(topics.get(number, ""), time, raw[start + _MESSAGE.size : offset])
 
 
 def _unpack(record: _Record) -> bytes:

@@ -1,131 +1,243 @@
-"""Reading a log: checked byte for byte when it is opened, then one segment in memory at a time."""
+"""Reading a log: checked byte for byte when it is opened, then as much of it in memory at a time as is asked for."""
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
-import numpy as np
 
 from gym_open.envs.puzzles import Puzzle
-from gym_open.errors import ArtefactError, GymOpenError
+from gym_open.errors import ArtefactError, GymOpenError, UsageError
 from gym_open.formats import log_schemas as schemas
 from gym_open.formats.log_cdr import CdrReader
-from gym_open.formats.log_container import Contents, Damage, Logged, read_chunk, read_contents, whole_chunks
-from gym_open.formats.log_schemas import LogError, Segment, SegmentStart, StepRecord, Switch
-from gym_open.formats.log_writer import CONFIG, HEAD, MODEL, POOL
+from gym_open.formats.log_container import (
+    Contents,
+    Damage,
+    Logged,
+    read_chunk,
+    read_contents,
+    read_head,
+    whole_chunks,
+)
+from gym_open.formats.log_messages import decode_stuck, decode_switch
+from gym_open.formats.log_schemas import LogError, LogHead, Segment, Stuck, Switch, log_name
+from gym_open.formats.log_segments import decode_record, groups, segments
 
-_REMEDY = "restore the file from a copy, or run the `gym-open collect` command that wrote it again (it goes on)"
+REMEDY = (
+    "restore the file from a copy, run the `gym-open collect` command that wrote it again (it goes on), or save what "
+    "is whole with `gym-open log repair`"
+)
+_NAME = re.compile(r"stream-(\d{3,})-(\d{3,})\.mcap")
 
 
-def log_files(artefact: Path) -> list[Path]:
-    """The logs in a log artefact, one a stream, in the order of the streams.
+def log_files(artefact: Path) -> list[list[Path]]:
+    """The files of a log artefact: the parts of each stream, both in order.
 
     Raises:
-        ArtefactError: if there is none.
+        ArtefactError: if there is none, or a part is missing.
     """
-    found = sorted(artefact.glob("stream-*.mcap"))
-    if not found:
+    streams: dict[int, dict[int, Path]] = {}
+    for path in artefact.glob("stream-*.mcap"):
+        if match := _NAME.fullmatch(path.name):
+            streams.setdefault(int(match[1]), {})[int(match[2])] = path
+    if not streams:
         raise ArtefactError(f"{artefact}: no logs (stream-*.mcap) in it; make some with `gym-open collect`")
-    return found
+    for stream, parts in streams.items():
+        if missing := set(range(max(parts) + 1)) - set(parts):
+            raise LogError(f"{artefact / log_name(stream, min(missing))}: missing, but a later part is there; {REMEDY}")
+    return [[parts[part] for part in sorted(parts)] for _, parts in sorted(streams.items())]
+
+
+class LogFile(NamedTuple):
+    """One file of a log, every byte of it checked."""
+
+    path: Path
+    contents: Contents
+    head: LogHead
+    part: int
+    goes_on: bool
+    """Whether the stream goes on in a further part."""
+
+    def count(self, topic: str) -> int:
+        """Number of messages of a topic."""
+        return sum(place.counts.get(self._channel(topic), 0) for place in self.contents.chunks)
+
+    def _channel(self, topic: str) -> int:
+        return next((number for number, name in self.contents.topics.items() if name == topic), -1)
+
+    def messages(self, *topics: str) -> Iterator[Logged]:
+        """Messages in the order of writing, or only those of some topics: that spares unpacking other chunks.
+
+        Raises:
+            LogError: if a chunk is damaged.
+        """
+        wanted = {self._channel(topic) for topic in topics}
+        for place in self.contents.chunks:
+            if wanted and not wanted & set(place.counts):
+                continue
+            try:
+                chunk = list(read_chunk(self.path, place, self.contents.topics))
+            except Damage as damage:
+                raise damaged(self.path, damage) from None
+            yield from (message for message in chunk if not topics or message.topic in topics)
 
 
 class Log:
-    """One stream's log, opened by `open_log`."""
+    """One stream's log, opened by `open_log`; of a single file that is a part of it, what that file holds."""
 
-    def __init__(self, path: Path, contents: Contents) -> None:
-        self.path = path
-        self._contents = contents
-        head = contents.metadata.get(HEAD, {})
-        if head.get("format") != schemas.FORMAT:
-            raise ValueError(f"expected the format {schemas.FORMAT!r}, got {head.get('format')!r}")
-        if set(contents.attachments) != {CONFIG, MODEL, POOL}:
-            raise ValueError(f"expected the attachments {CONFIG}, {MODEL}, {POOL}, got {sorted(contents.attachments)}")
-        self.stream = int(head["stream"])
-        self.config: dict[str, Any] = msgspec.json.decode(contents.attachments[CONFIG], type=dict[str, Any])
-        pool = msgspec.json.decode(contents.attachments[POOL], type=list[msgspec.Raw])
-        self.puzzles: tuple[Puzzle, ...] = tuple(Puzzle.from_json(bytes(raw)) for raw in pool)
-        self.provenance: dict[str, str] = contents.metadata.get("provenance", {})
-        self.model_xml: str = contents.attachments[MODEL].decode()
-        self._topics: dict[int, str] = {}
-        if contents.chunks:  # the first one names the channels
-            list(read_chunk(path, contents.chunks[0], self._topics))
-        self.switches: list[Switch] = list(self._read_switches())
-        self.n_steps: int = sum(place.counts.get(self._channel(schemas.STEP), 0) for place in contents.chunks)
-        if not self.switches or self.switches[-1].to_world != -1:
+    def __init__(self, files: Sequence[LogFile]) -> None:
+        self._files = files
+        head = files[0].head
+        self.path = files[0].path
+        """The first file."""
+        self.stream, self.config, self.puzzles = head.stream, head.config, head.puzzles
+        self.provenance, self.model_xml = head.provenance, head.model_xml
+        self.reward_parts, self.keyframe_every = head.reward_parts, head.keyframe_every
+        self.switches: list[Switch] = []
+        self.stuck: list[Stuck] = []
+        for message in self._messages(schemas.SWITCH, schemas.STUCK):
+            if message.topic == schemas.SWITCH:
+                self.switches.append(decode_switch(message.data))
+            else:
+                self.stuck.append(decode_stuck(message.data))
+        self.n_steps: int = sum(file.count(schemas.STEP) for file in files)
+        self._open_end = files[-1].goes_on
+        if not self._open_end and (not self.switches or self.switches[-1].to_world != -1):
             raise ValueError("it has no last switch: its writer was not finished")
 
-    def _channel(self, topic: str) -> int:
-        return next((number for number, name in self._topics.items() if name == topic), -1)
+    def _messages(self, *topics: str) -> Iterator[Logged]:
+        for file in self._files:
+            yield from file.messages(*topics)
 
-    def _read_switches(self) -> Iterator[Switch]:
-        channel = self._channel(schemas.SWITCH)
-        for place in self._contents.chunks:
-            if channel in place.counts:
-                for message in read_chunk(self.path, place, self._topics):
-                    if message.topic == schemas.SWITCH:
-                        yield schemas.decode_switch(message.data)
-
-    def segments(self) -> Iterator[Segment]:
+    def segments(self, max_steps: int | None = None) -> Iterator[Segment]:
         """The segments in the order of play; each is let go before the next is read.
+
+        Args:
+            max_steps: longer segments come in pieces of this many steps, so that memory does not grow with their
+                length. The observation at a cut is the last one of a piece and the first one of the next.
 
         Raises:
             LogError: if the messages do not make up segments.
+            UsageError: if `max_steps` is less than 1.
         """
+        if max_steps is not None and max_steps < 1:
+            raise UsageError(f"max_steps: expected 1 or more, got {max_steps}")
+        records = (decode_record(group, self.puzzles) for group in groups(self._messages()))
         try:
-            for start, steps, end in self._collect():
-                yield _assemble(self.stream, start, steps, end)
-        except Damage as damage:
-            raise _error(self.path, damage.offset, damage.what) from None
+            yield from segments(records, self.stream, self.reward_parts, max_steps, open_end=self._open_end)
         except ValueError as error:
-            raise LogError(f"{self.path}: {error}; {_REMEDY}") from None
-
-    def _messages(self) -> Iterator[Logged]:
-        for place in self._contents.chunks:
-            yield from read_chunk(self.path, place, self._topics)
-
-    def _collect(self) -> Iterator[tuple[SegmentStart, list[StepRecord], Switch]]:
-        start: SegmentStart | None = None
-        steps: list[StepRecord] = []
-        waiting: Logged | None = None  # a step or segment whose image comes next
-        for message in self._messages():
-            if message.topic in {schemas.STEP, schemas.SEGMENT}:
-                waiting = message
-            elif message.topic == schemas.IMAGE:
-                image = schemas.decode_image(message.data)
-                if waiting is not None and waiting.topic == schemas.SEGMENT:
-                    start, steps = schemas.decode_segment(waiting.data, self.puzzles, image), []
-                elif waiting is not None:
-                    steps.append(schemas.decode_step(waiting.data, image))
-                else:
-                    raise ValueError("an image follows neither a step nor the start of a segment")
-                waiting = None
-            elif message.topic == schemas.SWITCH and start is not None:
-                yield start, steps, schemas.decode_switch(message.data)
-                start = None
+            raise LogError(f"{self.path}: {error}; {REMEDY}") from None
 
 
-def open_log(path: Path) -> Log:
-    """Check the log at `path`, every byte of it, and open it.
+def open_log(source: Path | Sequence[Path]) -> Log:
+    """Check a log, every byte of it, and open it.
+
+    Args:
+        source: one file, which may be any part of a stream's log, or all parts of one, in order.
 
     Raises:
-        LogError: if it is missing, cut off, damaged, or not a log of this format; the message names the byte, the last
-            whole step before it, and what to do.
+        LogError: if a file is missing, cut off, damaged, or not a log of this format (the message names the byte, the
+            last whole step before it, and what to do), or if the parts do not follow on one another.
+    """
+    alone = isinstance(source, Path)
+    files = [open_file(path) for path in ([source] if alone else source)]
+    if not alone:
+        _check_parts(files)
+    try:
+        return Log(files)
+    except (ValueError, GymOpenError) as error:
+        raise error if isinstance(error, LogError) else _foreign(files[0].path, error) from None
+
+
+def open_logs(artefact: Path) -> list[Log]:
+    """Every stream's log in a log artefact, all parts checked.
+
+    Raises:
+        ArtefactError: as `log_files` and `open_log` do.
+    """
+    return [open_log(parts) for parts in log_files(artefact)]
+
+
+def open_file(path: Path) -> LogFile:
+    """Check the one file at `path`, every byte of it.
+
+    Raises:
+        LogError: if it is missing, cut off, damaged, or not a log of this format.
     """
     if not path.is_file():
         raise LogError(f"{path}: no such log; make one with `gym-open collect`")
     try:
-        return Log(path, read_contents(path))
+        parse_head(read_head(path))  # before all of a large file is read that is not ours
+        contents = read_contents(path)
+        head, part = parse_head(contents)
+        _check_channels(contents)
     except Damage as damage:
-        raise _error(path, damage.offset, damage.what) from None
+        raise damaged(path, damage) from None
     except (ValueError, KeyError, GymOpenError) as error:
-        raise LogError(f"{path}: not a log of gym-open, or of another version: {error}; {_REMEDY}") from None
+        raise _foreign(path, error) from None
+    return LogFile(path, contents, head, part, schemas.CONTINUES in contents.metadata)
 
 
-def _error(path: Path, offset: int, what: str) -> LogError:
-    last = _last_whole_step(path, offset)
+def parse_head(contents: Contents) -> tuple[LogHead, int]:
+    """What a file says about itself, and the number of its part.
+
+    Raises:
+        ValueError, KeyError, GymOpenError: if it is of another format, or something in it is not as it should be.
+    """
+    head = contents.metadata.get(schemas.HEAD, {})
+    if head.get("format") != schemas.FORMAT:
+        raise ValueError(f"expected the format {schemas.FORMAT!r}, got {head.get('format')!r}")
+    expected = {schemas.CONFIG, schemas.MODEL, schemas.POOL}
+    if set(contents.attachments) != expected:
+        raise ValueError(f"expected the attachments {sorted(expected)}, got {sorted(contents.attachments)}")
+    pool = msgspec.json.decode(contents.attachments[schemas.POOL], type=list[msgspec.Raw])
+    return LogHead(
+        stream=int(head["stream"]),
+        config=msgspec.json.decode(contents.attachments[schemas.CONFIG], type=dict[str, Any]),
+        puzzles=tuple(Puzzle.from_json(bytes(raw)) for raw in pool),
+        provenance=contents.metadata.get(schemas.PROVENANCE, {}),
+        model_xml=contents.attachments[schemas.MODEL].decode(),
+        reward_parts=msgspec.json.decode(head["reward_parts"], type=tuple[str, ...]),
+        keyframe_every=int(head["keyframe_every"]),
+    ), int(head["part"])
+
+
+def _check_channels(contents: Contents) -> None:
+    """Raises ValueError if the messages are not of our types."""
+    for topic, schema in contents.channels.values():
+        if topic not in schemas.DEFINITIONS or contents.schemas.get(schema) != schemas.DEFINITIONS[topic]:
+            raise ValueError(f"the messages of {topic!r} are not of the type that {schemas.FORMAT!r} has for them")
+
+
+def _check_parts(files: Sequence[LogFile]) -> None:
+    """Raises LogError if the files are not all parts of one stream."""
+    for number, file in enumerate(files):
+        if file.head != files[0].head:
+            raise LogError(
+                f"{file.path}: of another run or stream than {files[0].path}: its configuration, pool, model or "
+                "provenance differs; give the parts of one stream"
+            )
+        if file.part != number:
+            raise LogError(f"{file.path}: part {file.part} of its stream, expected part {number}; give all, in order")
+        last = number == len(files) - 1
+        if last and file.goes_on:
+            following = log_name(file.head.stream, number + 1)
+            raise LogError(f"{file.path}: the stream goes on in {following}, which is missing; {REMEDY}")
+        if not last and not file.goes_on:
+            raise LogError(f"{file.path}: the stream ends in it, so {files[number + 1].path} is not a part of it")
+
+
+def _foreign(path: Path, error: Exception) -> LogError:
+    remedy = "give a file that `gym-open collect` of this version wrote"
+    return LogError(f"{path}: not a log of gym-open, or of another version: {error}; {remedy}")
+
+
+def damaged(path: Path, damage: Damage) -> LogError:
+    """The error that says where a file is damaged and how much before it is whole."""
+    last = _last_whole_step(path, damage.offset)
     whole = "no step before it is whole" if last is None else f"the last whole step is {last}"
-    return LogError(f"{path}: damaged at byte {offset}: {what}; {whole}; {_REMEDY}")
+    return LogError(f"{path}: damaged at byte {damage.offset}: {damage.what}; {whole}; {REMEDY}")
 
 
 def _last_whole_step(path: Path, end: int) -> int | None:
@@ -133,35 +245,3 @@ def _last_whole_step(path: Path, end: int) -> int | None:
     for chunk in whole_chunks(path, end):
         last = next((message.data for message in reversed(chunk) if message.topic == schemas.STEP), last)
     return None if last is None else CdrReader(last).integer("Q")
-
-
-def _assemble(stream: int, start: SegmentStart, steps: list[StepRecord], end: Switch) -> Segment:
-    """Lay the records of a segment out as arrays. Raises ValueError if one is missing or out of place."""
-    expected = [(start.index, start.first_step + i, i) for i in range(len(steps))]
-    if [(step.segment, step.step, step.segment_step) for step in steps] != expected or end.reason == "start":
-        raise ValueError(f"the steps of segment {start.index} are not complete and in order")
-    if end.step != start.first_step + len(steps):
-        raise ValueError(f"segment {start.index} ends at step {end.step}, but {len(steps)} steps are there")
-    return Segment(
-        stream=stream,
-        index=start.index,
-        world=start.world,
-        puzzle=start.puzzle,
-        continued=start.continued,
-        first_step=start.first_step,
-        object_names=start.object_names,
-        integration_state=start.integration_state,
-        images=np.stack([start.image, *(step.image for step in steps)]),
-        actions=np.array([step.action for step in steps], dtype=np.int64),
-        object_state=np.stack([start.object_state, *(step.object_state for step in steps)]),
-        contacts=[step.contacts for step in steps],
-        intrinsic_reward=_column(steps, "intrinsic_reward"),
-        world_model_loss=_column(steps, "world_model_loss"),
-        policy_entropy=_column(steps, "policy_entropy"),
-        value=_column(steps, "value"),
-        ended=end.reason,
-    )
-
-
-def _column(steps: list[StepRecord], name: str) -> np.ndarray:
-    return np.array([getattr(step, name) for step in steps], dtype=np.float64)

@@ -1,0 +1,237 @@
+"""Messages of a stream, put together to records, and records to segments of any length that a reader asks for."""
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from gym_open.envs.puzzles import Puzzle
+from gym_open.formats import log_schemas as schemas
+from gym_open.formats.log_container import Logged
+from gym_open.formats.log_messages import PIXELS, decode_image, decode_segment, decode_step, decode_stuck, decode_switch
+from gym_open.formats.log_schemas import Ended, Keyframe, Record, Segment, SegmentStart, StepRecord, Switch
+
+_HEADS = {schemas.SEGMENT, schemas.STEP, schemas.SWITCH, schemas.STUCK}
+
+
+def groups(messages: Iterable[Logged]) -> Iterator[list[Logged]]:
+    """The messages that make up one record each: the record's own first, then its pictures and what repeats it.
+
+    Raises:
+        ValueError: if the first message belongs to no record.
+    """
+    group: list[Logged] = []
+    for message in messages:
+        if message.topic in _HEADS:
+            if group:
+                yield group
+            group = [message]
+        elif not group:
+            raise ValueError(f"{message.topic} follows neither a step nor the start of a segment")
+        else:
+            group.append(message)
+    if group:
+        yield group
+
+
+def decode_record(group: list[Logged], pool: tuple[Puzzle, ...]) -> Record:
+    """The record that a group of messages makes up; puzzles are looked up in the `pool`.
+
+    Raises:
+        ValueError: if a message is missing or not of its type.
+    """
+    topic, _, data = group[0]
+    if topic == schemas.SWITCH:
+        return decode_switch(data)
+    if topic == schemas.STUCK:
+        return decode_stuck(data)
+    pictures = {
+        message.topic: decode_image(message.topic, message.data) for message in group if message.topic in PIXELS
+    }
+    if schemas.IMAGE not in pictures:
+        raise ValueError(f"{topic} at {group[0].time} ns is not followed by {schemas.IMAGE}")
+    image, depth, segmentation = (pictures.get(name) for name in (schemas.IMAGE, schemas.DEPTH, schemas.SEGMENTATION))
+    assert image is not None
+    if topic == schemas.STEP:
+        return decode_step(data, image, depth, segmentation)
+    return decode_segment(data, pool, image, depth, segmentation)
+
+
+class _Piece:
+    """Steps of a segment as they come in, from an observation on."""
+
+    def __init__(self, start: SegmentStart, before: SegmentStart | StepRecord, segment_step: int) -> None:
+        self.start = start
+        """The last keyframe: what is the same in all of the segment."""
+        self.before = before
+        """Holds the observation that comes before the first action."""
+        self.segment_step = segment_step
+        self.keyframes: list[Keyframe] = []
+        self.steps: list[StepRecord] = []
+
+    @property
+    def last(self) -> SegmentStart | StepRecord:
+        """What holds the last observation so far."""
+        return self.steps[-1] if self.steps else self.before
+
+    @property
+    def next_step(self) -> int:
+        """Number within the segment of the action that comes next."""
+        return self.segment_step + len(self.steps)
+
+    def rest(self) -> "_Piece":
+        """What comes after it."""
+        return _Piece(self.start, self.last, self.next_step)
+
+    def add_keyframe(self, frame: SegmentStart) -> None:
+        """Take in a keyframe at the present moment. Raises ValueError if it is one of another."""
+        known, now = self.start, self.last
+        same = (known.index, known.first_step, known.world, known.continued, known.object_names, self.next_step)
+        if (
+            frame.index,
+            frame.first_step,
+            frame.world,
+            frame.continued,
+            frame.object_names,
+            frame.segment_step,
+        ) != same:
+            raise ValueError(
+                f"a keyframe of segment {frame.index}, step {frame.segment_step}, stands in segment {known.index} "
+                f"before step {self.next_step}"
+            )
+        if not all(np.array_equal(_shown(frame, name), _shown(now, name)) for name in _SHOWN):
+            raise ValueError(f"segment {known.index}: the keyframe before step {self.next_step} is not the state there")
+        self.start = frame
+        self.keyframes.append(Keyframe(frame.segment_step, frame.integration_state))
+
+    def add(self, step: StepRecord, parts: int) -> None:
+        """Take in the next step. Raises ValueError if it is another."""
+        expected = (self.start.index, self.next_step, self.start.first_step + self.next_step)
+        if (step.segment, step.segment_step, step.step) != expected:
+            raise ValueError(
+                f"the steps of segment {self.start.index} are not complete and in order: expected step {expected[1]} "
+                f"of it, got step {step.segment_step} of segment {step.segment}"
+            )
+        if len(step.reward_parts) != parts:
+            raise ValueError(
+                f"step {step.step} has {len(step.reward_parts)} parts of its reward, the log names {parts}"
+            )
+        self.steps.append(step)
+
+    def lay_out(self, stream: int, parts: tuple[str, ...], ended: Ended | None) -> Segment:
+        """Its records as arrays."""
+        start, steps, shown = self.start, self.steps, [self.before, *self.steps]
+        begins = bool(self.keyframes) and self.keyframes[0].segment_step == self.segment_step
+        rewards = np.array([step.reward_parts for step in steps], np.float64).reshape(len(steps), len(parts))
+        return Segment(
+            stream=stream,
+            index=start.index,
+            world=start.world,
+            puzzle=start.puzzle,
+            continued=start.continued,
+            first_step=start.first_step + self.segment_step,
+            segment_step=self.segment_step,
+            object_names=start.object_names,
+            integration_state=self.keyframes[0].integration_state if begins else None,
+            keyframes=self.keyframes,
+            images=np.stack([one.image for one in shown]),
+            depth=_optional([one.depth for one in shown], "depth"),
+            segmentation=_optional([one.segmentation for one in shown], "segmentation"),
+            actions=np.array([step.action for step in steps], dtype=np.int64),
+            object_state=np.stack([one.object_state for one in shown]),
+            contacts=[step.contacts for step in steps],
+            intrinsic_reward=_column(steps, "intrinsic_reward"),
+            world_model_loss=_column(steps, "world_model_loss"),
+            policy_entropy=_column(steps, "policy_entropy"),
+            value=_column(steps, "value"),
+            reward_parts={name: rewards[:, i].copy() for i, name in enumerate(parts)},
+            ended=ended,
+        )
+
+
+_SHOWN = ("object_state", "image", "depth", "segmentation")
+
+
+def _shown(record: SegmentStart | StepRecord, name: str) -> np.ndarray:
+    value = getattr(record, name)
+    return np.empty(0) if value is None else value
+
+
+def _optional(pictures: list[np.ndarray | None], name: str) -> np.ndarray | None:
+    there = [picture for picture in pictures if picture is not None]
+    if there and len(there) < len(pictures):
+        raise ValueError(f"{len(pictures) - len(there)} of {len(pictures)} observations of a segment have no {name}")
+    return np.stack(there) if there else None
+
+
+def _column(steps: list[StepRecord], name: str) -> np.ndarray:
+    return np.array([getattr(step, name) for step in steps], dtype=np.float64)
+
+
+def segments(
+    records: Iterable[Record], stream: int, parts: tuple[str, ...], max_steps: int | None, *, open_end: bool
+) -> Iterator[Segment]:
+    """The segments that the records make up, in order; what is yielded is let go.
+
+    Args:
+        records: in the order of play. The first keyframe may stand anywhere in a segment.
+        stream: number of the stream.
+        parts: names of the parts of the reward.
+        max_steps: longer segments come in pieces of this many steps; the observation at a cut is in both.
+        open_end: whether the records may stop before the segment ends, as in a file that goes on in another.
+
+    Raises:
+        ValueError: if a record is missing or out of place.
+    """
+    piece: _Piece | None = None
+    expected: tuple[int, int, int] | None = None  # segment, first step and world that come next
+    for record in records:
+        if piece is not None and len(piece.steps) == max_steps and isinstance(record, SegmentStart | StepRecord):
+            yield piece.lay_out(stream, parts, None)
+            piece = piece.rest()
+        if isinstance(record, SegmentStart):
+            piece = piece or _entered(record, expected)
+            piece.add_keyframe(record)
+        elif isinstance(record, StepRecord):
+            _within(piece, record).add(record, len(parts))
+        elif isinstance(record, Switch):
+            expected = _next_segment(record, piece, expected)
+            if piece is not None and record.reason != "start":
+                yield piece.lay_out(stream, parts, record.reason)
+            piece = None
+    if piece is not None:
+        if not open_end:
+            raise ValueError(f"segment {piece.start.index} does not end")
+        yield piece.lay_out(stream, parts, None)
+
+
+def _within(piece: _Piece | None, step: StepRecord) -> _Piece:
+    if piece is None:
+        raise ValueError(f"step {step.step} stands in no segment")
+    return piece
+
+
+def _entered(start: SegmentStart, expected: tuple[int, int, int] | None) -> _Piece:
+    """The first piece of a segment, or of a file that begins within one."""
+    if expected is not None and (start.index, start.first_step, start.world, start.segment_step) != (*expected, 0):
+        raise ValueError(
+            f"segment {start.index} in world {start.world} begins at step {start.first_step}, where segment "
+            f"{expected[0]} in world {expected[2]} was to begin at step {expected[1]}"
+        )
+    return _Piece(start, start, start.segment_step)
+
+
+def _next_segment(
+    switch: Switch, piece: _Piece | None, expected: tuple[int, int, int] | None
+) -> tuple[int, int, int] | None:
+    """Number, first step and world of the segment that a switch leads to. Raises ValueError if it stands elsewhere."""
+    if piece is None:
+        if switch.reason != "start" or expected is not None:
+            raise ValueError(f"the switch at step {switch.step} ({switch.reason}) ends no segment")
+        return 0, switch.step, switch.to_world
+    start, step = piece.start, piece.start.first_step + piece.next_step
+    if (switch.step, switch.from_world) != (step, start.world) or switch.reason == "start":
+        raise ValueError(
+            f"segment {start.index} in world {start.world} ends at step {switch.step}, left world {switch.from_world} "
+            f"({switch.reason}), but {piece.next_step} steps from step {start.first_step} on are there"
+        )
+    return start.index + 1, step, switch.to_world
