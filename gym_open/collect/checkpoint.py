@@ -1,14 +1,15 @@
 """Checkpoints of exploration: with them and the logs' whole chunks, a killed run goes on as if it had not been."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 import torch
+from torch import Tensor
 
-from gym_open.collect.pool import Visits
 from gym_open.collect.stream import Place
 from gym_open.collect.summary import Record
+from gym_open.collect.tally import Tally
 from gym_open.formats.checkpoints import (
     load_checkpoint,
     load_optimizer,
@@ -17,7 +18,6 @@ from gym_open.formats.checkpoints import (
     save_checkpoint,
     without_prefix,
 )
-from gym_open.formats.log_container import whole_chunks
 
 if TYPE_CHECKING:
     from gym_open.collect.explore import Exploration
@@ -28,9 +28,21 @@ NAME = "state.safetensors"
 class _Meta(msgspec.Struct):
     record: Record
     places: list[Place]
-    visits: list[Visits]
+    tallies: list[Tally]
     messages: list[int]
     """Messages in each stream's log when the checkpoint was taken."""
+
+
+class Saved(NamedTuple):
+    """A checkpoint as it was read."""
+
+    tensors: dict[str, Tensor]
+    meta: _Meta
+
+    @property
+    def messages(self) -> list[int]:
+        """How many messages of each stream's log belong to it."""
+        return self.meta.messages
 
 
 def save(path: Path, run: "Exploration") -> None:
@@ -40,49 +52,41 @@ def save(path: Path, run: "Exploration") -> None:
     meta = _Meta(
         record=run.record,
         places=[stream.place for stream in run.streams],
-        visits=run.pool.visits,
+        tallies=run.pool.tallies,
         messages=[stream.log.messages for stream in run.streams],
     )
     live = {str(stream.index): torch.from_numpy(stream.save_state()) for stream in run.streams}
+    optimizer = run.explorer.optimizer
     tensors = {
         **prefixed("explorer", run.explorer.tensors()),
-        **prefixed("optimizer", optimizer_tensors(run.explorer.optimizer)),
+        **prefixed("optimizer", optimizer_tensors(optimizer) if optimizer else {}),
         **prefixed("pool", run.pool.tensors()),
         **prefixed("live", live),
     }
     save_checkpoint(path, tensors, msgspec.to_builtins(meta))
 
 
-def load(path: Path, run: "Exploration") -> list[int]:
-    """Put a run that has not begun where the saved one was.
+def load(path: Path) -> Saved | None:
+    """The checkpoint at `path`; None if none was taken yet.
 
-    Returns:
-        How many messages of each stream's log belong to it.
+    Raises:
+        ArtefactError: if it is damaged.
     """
-    tensors, raw = load_checkpoint(path)
-    meta = msgspec.convert(raw, _Meta)
-    run.record = meta.record
-    run.explorer.load_tensors(without_prefix("explorer", tensors))
-    load_optimizer(run.explorer.optimizer, without_prefix("optimizer", tensors))
-    run.pool.load_tensors(without_prefix("pool", tensors))
-    run.pool.visits = meta.visits
-    live = without_prefix("live", tensors)
-    for stream, place in zip(run.streams, meta.places, strict=True):
+    if not path.is_file():
+        return None
+    tensors, meta = load_checkpoint(path)
+    return Saved(tensors, msgspec.convert(meta, _Meta))
+
+
+def restore(saved: Saved, run: "Exploration") -> None:
+    """Put a run that has not begun where the saved one was."""
+    run.record = saved.meta.record
+    run.explorer.load_tensors(without_prefix("explorer", saved.tensors))
+    if run.explorer.optimizer:
+        load_optimizer(run.explorer.optimizer, without_prefix("optimizer", saved.tensors))
+    run.pool.load_tensors(without_prefix("pool", saved.tensors))
+    run.pool.tallies = saved.meta.tallies
+    live = without_prefix("live", saved.tensors)
+    for stream, place in zip(run.streams, saved.meta.places, strict=True):
         stream.place = place
         stream.load(live[str(stream.index)].numpy())
-    return meta.messages
-
-
-def set_aside(log: Path, folder: Path) -> Path | None:
-    """Move a killed writer's log into `folder`, so that a new one can be written and compared with it.
-
-    If one is there already (the run was killed more than once), the longer of the two is kept: both begin alike.
-    """
-    aside = folder / log.name
-    if log.is_file() and (not aside.is_file() or _messages(log) >= _messages(aside)):
-        log.rename(aside)
-    return aside if aside.is_file() else None
-
-
-def _messages(log: Path) -> int:
-    return sum(map(len, whole_chunks(log)))

@@ -1,15 +1,45 @@
 """Configuration of exploration."""
 
-from gym_open.agents.config import CurlConfig, EncoderConfig, ExplorerKind, PPOConfig
+from typing import Literal
+
+from gym_open.agents.config import ExplorerConfig
 from gym_open.config import Config, NonNegativeFloat, PositiveInt, Seed
 from gym_open.envs.puzzles.generators import SandboxConfig
+
+RuleName = Literal["loss", "never", "interval", "uniform", "progress"]
+
+
+class CurriculumConfig(Config, frozen=True, kw_only=True):
+    """When a stream leaves its world, and for which."""
+
+    rule: RuleName = "loss"
+    """`loss`, the paper's: leave a world that is learned for the one of highest loss, stop when all are learned. The
+    others leave every `interval` steps: `interval` for the next world in order, `uniform` for one at random, `progress`
+    for the one whose loss changed most since the last decision. `never` stays."""
+    threshold: NonNegativeFloat = 0.001
+    """A world is learned when its scaled loss is under this: the paper's figure; collect/README.md has the scales."""
+    window: PositiveInt = 2
+    """Rollouts over which the loss of the world being played in is averaged."""
+    interval: PositiveInt = 2048
+    """Steps in a world between two decisions of `interval`, `uniform` and `progress`, up to whole rollouts."""
+
+
+class LogConfig(Config, frozen=True, kw_only=True):
+    """What is logged beyond what always is, and in what pieces."""
+
+    depth: bool = False
+    """Log what the camera sees as metres too (84×84 float32)."""
+    segmentation: bool = False
+    """Log what the camera sees as numbers of geoms too (84×84 int32)."""
+    keyframe_every: PositiveInt = 256
+    """Steps of a segment between two full states of the simulation, which a replay starts from."""
+    roll_mb: PositiveInt = 256
+    """MiB after which a stream's log goes on in a new file, from the next keyframe on."""
 
 
 class CollectConfig(Config, frozen=True, kw_only=True):
     """How to play in the sandbox: who plays, where, for how long, and when a world has been learned."""
 
-    explorer: ExplorerKind = "curl+ride"
-    """World model and intrinsic reward."""
     steps: PositiveInt = 20_000
     """Budget: interactions of all streams together. The paper's is 2,000,000."""
     streams: PositiveInt = 4
@@ -18,13 +48,9 @@ class CollectConfig(Config, frozen=True, kw_only=True):
     """Steps that each stream takes between two updates; the curriculum decides after an update."""
     pool: PositiveInt = 12
     """Distinct sandbox worlds to switch between."""
-    threshold: NonNegativeFloat = 1.75
-    """A world is learned when its loss is under this (nats of InfoNCE); collect/README.md says how it was chosen."""
-    window: PositiveInt = 2
-    """Rollouts over which the loss of the world being played in is averaged."""
     probe: PositiveInt = 64
-    """Distinct latest observations kept of each world, on which its loss is measured."""
-    checkpoint_every: PositiveInt = 5
+    """Latest transitions kept of each world, of distinct observations, on which its loss is measured."""
+    checkpoint_every: PositiveInt = 20
     """Rollouts between two checkpoints."""
     threads: PositiveInt = 1
     """Threads of the learner. Another number rounds sums in another order, so it plays otherwise. Two are faster on an
@@ -33,9 +59,9 @@ class CollectConfig(Config, frozen=True, kw_only=True):
     """Root of all randomness."""
     sandbox: SandboxConfig = SandboxConfig()
     """What lies in the worlds of the pool."""
-    encoder: EncoderConfig = EncoderConfig()
-    """The encoder that policy and world model share."""
-    curl: CurlConfig = CurlConfig()
-    """The world model."""
-    ppo: PPOConfig = PPOConfig(learning_rate=1e-3, minibatch_size=128, update_epochs=3, shift_pad=4, ent_coef=0.15)
-    """The learner of the policy; its Adam learns the world model too."""
+    explorer: ExplorerConfig = ExplorerConfig()
+    """Who plays: world model, reward, learner."""
+    curriculum: CurriculumConfig = CurriculumConfig()
+    """Which world is played in."""
+    log: LogConfig = LogConfig()
+    """What is written."""

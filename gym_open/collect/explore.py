@@ -1,7 +1,7 @@
 """Exploration without a task: streams play side by side in a pool of worlds, one learner learns, every step is logged.
 
 repeat: every stream plays a rollout → reward from within → update of policy and world model → loss of each world
-        that was played in → log → the curriculum moves streams whose world is learned → now and then a checkpoint
+        that was played in → log → the curriculum moves streams → now and then a checkpoint
 """
 
 import math
@@ -15,11 +15,11 @@ import numpy as np
 import torch
 
 from gym_open import artefacts, progress
-from gym_open.agents.explorer import Acted, Explorer, UpdateStats
-from gym_open.agents.ppo import Rollout
+from gym_open.agents.explorer import Acted, Explorer, Learned
 from gym_open.collect import checkpoint
 from gym_open.collect.config import CollectConfig
-from gym_open.collect.curriculum import decide, smoothed
+from gym_open.collect.curriculum import RULES, Situation, smoothed
+from gym_open.collect.figure import draw_summary
 from gym_open.collect.pool import Pool, sample_pool
 from gym_open.collect.stream import Figures, Played, Stream
 from gym_open.collect.summary import Record, SegmentRecord, summarise
@@ -27,25 +27,36 @@ from gym_open.config import to_dict
 from gym_open.envs.constants import IMAGE_SIZE, N_ACTIONS
 from gym_open.envs.physics.model import model_xml
 from gym_open.errors import ConfigError
-from gym_open.formats.log_schemas import Reason
+from gym_open.formats.log_resume import resume_writer
+from gym_open.formats.log_schemas import Ended
 from gym_open.formats.logs import LogHead, LogWriter, Switch
+from gym_open.formats.models import save_encoder
 
 IMAGE_SHAPE = (IMAGE_SIZE, IMAGE_SIZE, 3)
 
 
 def collect(config: CollectConfig, out: Path) -> artefacts.Outcome:
-    """Explore and log: the artefact `out` of kind `log`, with a file a stream and `summary.json`.
+    """Explore and log: the artefact `out` of kind `log`.
 
-    Killed and run again, it goes on from its last checkpoint and ends with the same bytes.
+    It holds a log a stream, in one or more files, the summary as `summary.json` and `summary.png`, and in `encoder/`
+    what the explorer's encoder had become, if it has one. Killed and run again, it goes on from its last checkpoint and
+    ends with the same bytes.
 
     Raises:
-        ConfigError: if there are more streams than worlds or steps.
+        ConfigError: if there are more streams than worlds or steps, or the curriculum's rule looks at losses that the
+            explorer does not have.
         LogError: if a resumed run does not repeat the steps that had been logged after its checkpoint.
     """
     if config.streams > config.pool:
         raise ConfigError(f"key `streams`: at most one a world, got {config.streams} for a pool of {config.pool}")
     if config.streams > config.steps:
         raise ConfigError(f"key `steps`: at least one a stream, got {config.steps} for {config.streams} streams")
+    if RULES[config.curriculum.rule].needs_losses and config.explorer.world_model == "none":
+        others = " or ".join(f'"{name}"' for name, rule in RULES.items() if not rule.needs_losses)
+        raise ConfigError(
+            f'key `curriculum.rule`: "{config.curriculum.rule}" looks at the loss of a world model, and '
+            f'`explorer.world_model` is "none"; give {others}, or a world model'
+        )
     return artefacts.build(out, kind="log", config=config, parents=[], work=lambda folder: _work(config, folder))
 
 
@@ -58,6 +69,7 @@ def _work(config: CollectConfig, folder: Path) -> Mapping[str, Any]:
             exploration.run()
     finally:
         torch.set_num_threads(threads)
+    exploration.finish()
     return {
         "task": "sandbox",
         "extrinsic_reward": False,
@@ -67,90 +79,90 @@ def _work(config: CollectConfig, folder: Path) -> Mapping[str, Any]:
 
 
 class Exploration:
-    """One run: explorer, pool, streams, and the record of what happened."""
+    """One run: explorer, pool, streams, curriculum, and the record of what happened."""
 
     def __init__(self, config: CollectConfig, folder: Path, open_logs: ExitStack) -> None:
         self.config, self.folder = config, folder
         self.pool = Pool(sample_pool(config.pool, config.sandbox, config.seed), config.probe, config.seed)
-        self.explorer = Explorer(
-            config.explorer, config.encoder, config.curl, config.ppo,
-            n_actions=N_ACTIONS, n_streams=config.streams, seed=config.seed,
-        )  # fmt: skip
+        self.explorer = Explorer(config.explorer, n_actions=N_ACTIONS, n_streams=config.streams, seed=config.seed)
+        self.rule = RULES[config.curriculum.rule](config.curriculum, config.seed)
         self.record = Record()
-        logs = [folder / f"stream-{index:03d}.mcap" for index in range(config.streams)]
-        killed = [checkpoint.set_aside(log, folder / artefacts.SCRATCH) for log in logs]
-        heads = [self._head(index) for index in range(config.streams)]
+        saved = checkpoint.load(folder / artefacts.SCRATCH / checkpoint.NAME)
+        messages = saved.messages if saved else [0] * config.streams
         self.streams = [
-            Stream(index, self.pool, open_logs.enter_context(LogWriter(log, head)))
-            for index, (log, head) in enumerate(zip(logs, heads, strict=True))
+            Stream(index, self.pool, open_logs.enter_context(self._writer(index, count)), config.log)
+            for index, count in enumerate(messages)
         ]
-        saved = folder / artefacts.SCRATCH / checkpoint.NAME
-        messages = checkpoint.load(saved, self) if saved.is_file() else [0] * config.streams
-        for stream, old, count in zip(self.streams, killed, messages, strict=True):
-            if old is not None:
-                stream.log.resume(old, count)
-        if not saved.is_file():
+        if saved:
+            checkpoint.restore(saved, self)
+        else:
             self._start()
 
-    def _head(self, stream: int) -> LogHead:
+    def _writer(self, stream: int, messages: int) -> LogWriter:
         packages = {name: metadata.version(name) for name in ("mcap", "mujoco", "numba", "numpy", "torch")}
         provenance = {"code": artefacts.code_version(), "seed": str(self.config.seed), **packages}
-        return LogHead(stream, to_dict(self.config), self.pool.puzzles, provenance, model_xml())
+        head = LogHead(
+            stream, to_dict(self.config), self.pool.puzzles, provenance, model_xml(),
+            reward_parts=self.explorer.reward_parts, keyframe_every=self.config.log.keyframe_every,
+        )  # fmt: skip
+        roll_bytes = self.config.log.roll_mb * 2**20
+        return resume_writer(self.folder, self.folder / artefacts.SCRATCH, head, messages, roll_bytes=roll_bytes)
 
     def _start(self) -> None:
         """Put each stream into a world of its own. What the encoder subtracts is the mean first look at the worlds."""
-        unknown = [math.inf] * self.config.pool
+        unknown = self._all_losses()
         for world, stream in enumerate(self.streams):
             stream.switch(Switch(0, -1, world, "start", unknown))
-        self.explorer.encoder.set_mean_image(torch.from_numpy(self.pool.first_looks()))
+        self.explorer.set_mean_image(torch.from_numpy(self.pool.first_looks()))
 
     def run(self) -> None:
-        """Play until the budget is spent or every world is learned, then write the summary."""
+        """Play until the budget is spent or every world is learned."""
         config, record = self.config, self.record
         with progress.bar("exploring", config.steps, done=record.steps) as bar:
             while record.ended is None:
                 length = min(config.rollout, self._steps_left())
-                stats = self.rollout(length)
+                self.rollout(length)
                 if self._steps_left():
-                    self._switch()
+                    self._decide()
                 else:
                     self._end("budget", self._all_losses())
-                note = f"world-model loss {stats.world_model_loss:.2f}, {record.switches} switches"
-                bar.advance(length * config.streams, note)
+                bar.advance(length * config.streams, self._note())
                 if record.rollouts % config.checkpoint_every == 0 and record.ended is None:
                     checkpoint.save(self.folder / artefacts.SCRATCH / checkpoint.NAME, self)
-        summary = summarise(record, self.pool.puzzles, self.pool.visits)
+
+    def finish(self) -> None:
+        """Write the summary, and what the encoder has become."""
+        summary = summarise(self.config, self.record, self.pool.puzzles, self.pool.tallies)
         artefacts.write_atomically(self.folder / "summary.json", artefacts.canonical_json(summary))
+        artefacts.write_atomically(self.folder / "summary.png", draw_summary(summary, self.config.curriculum))
+        if self.explorer.encoder is not None:
+            save_encoder(self.folder / "encoder", self.explorer.encoder)
+
+    def _note(self) -> str:
+        seen = sum(tally.visits > 0 for tally in self.pool.tallies)
+        loss = f"loss of the worlds {self.record.curve[-1][2]:.2g}, " if self.explorer.learns else ""
+        return f"{loss}{seen} of {self.config.pool} worlds, {self.record.switches} switches"
 
     def _steps_left(self) -> int:
         """Steps that the budget still holds for each stream."""
         return (self.config.steps - self.record.steps) // self.config.streams
 
-    def rollout(self, length: int) -> UpdateStats:
+    def rollout(self, length: int) -> None:
         """Play `length` steps in every stream, learn from them, and log them."""
         images, acted, played = self._play(length)
-        latent, values = torch.stack([one.latent for one in acted]), torch.stack([one.values for one in acted])
-        nothing = torch.zeros(length, self.config.streams, dtype=torch.bool)
-        rollout = Rollout(
-            obs=torch.from_numpy(images[:-1]),
-            actions=torch.stack([one.actions for one in acted[:-1]]),
-            logprobs=torch.stack([one.logprobs for one in acted[:-1]]),
-            rewards=self.explorer.intrinsic_reward(latent[:-1], latent[1:]),
-            values=values[:-1],
-            next_values=values[1:],
-            terminations=nothing,
-            truncations=nothing,
-        )
-        stats = self.explorer.update(rollout)
+        learned = self.explorer.learn(torch.from_numpy(images), acted)
         self.record.rollouts += 1
         self.record.steps += length * self.config.streams
-        entropy = torch.stack([one.entropy for one in acted[:-1]])
-        losses = self._log(rollout, entropy, played, images)
-        reward = float(rollout.rewards.mean())
+        losses = [self._world_loss(stream, images[:, stream.index], played) for stream in self.streams]
+        self._log(images, acted, played, learned, losses)
+        entropy = float(torch.stack([one.entropy for one in acted[:-1]]).mean())
+        scale = self.explorer.model.loss_scale if self.explorer.model else math.nan
         self.record.curve.append(
-            (self.record.steps, stats.world_model_loss, float(np.mean(losses)), reward, float(entropy.mean()))
-        )
-        return stats
+            (
+                self.record.steps, scale * learned.stats.world_model_loss, float(np.mean(losses)),
+                float(learned.reward.mean()), entropy,
+            )
+        )  # fmt: skip
 
     def _play(self, length: int) -> tuple[np.ndarray, list[Acted], list[list[Played]]]:
         """Act in all streams side by side: images (length + 1, streams, 84, 84, 3), what was thought of each, steps."""
@@ -165,50 +177,65 @@ class Exploration:
             acted.append(self.explorer.act(torch.from_numpy(now)))
         return images, acted, played
 
+    def _world_loss(self, stream: Stream, images: np.ndarray, played: list[list[Played]]) -> float:
+        """Measure the loss of the world that a stream is in, after what was played there; not a number for no model."""
+        place = stream.place
+        if not self.explorer.learns:
+            return math.nan
+        actions = np.array([now[stream.index].action for now in played], dtype=np.int64)
+        self.pool.see(place.world, images[:-1], actions, images[1:])
+        loss = self.pool.loss(place.world, self.explorer, self.record.rollouts)
+        place.recent = [*place.recent, loss][-self.config.curriculum.window :]
+        return loss
+
     def _log(
-        self, rollout: Rollout, entropy: torch.Tensor, played: list[list[Played]], images: np.ndarray
-    ) -> list[float]:
-        """Measure the loss of each world that was played in, and log the steps with it; return the losses."""
-        losses: list[float] = []
-        for stream in self.streams:
-            n, place = stream.index, stream.place
-            self.pool.see(place.world, images[:, n])
-            loss = self.pool.loss(place.world, self.explorer, self.record.rollouts)
-            losses.append(loss)
-            place.recent = [*place.recent, loss][-self.config.window :]
+        self, images: np.ndarray, acted: list[Acted], played: list[list[Played]], learned: Learned, losses: list[float]
+    ) -> None:
+        rewards, parts = learned.reward.tolist(), learned.parts.tolist()
+        entropy, values = [one.entropy.tolist() for one in acted], [one.values.tolist() for one in acted]
+        for stream, loss in zip(self.streams, losses, strict=True):
+            n = stream.index
             for t in range(len(played)):
-                figures = Figures(
-                    intrinsic_reward=float(rollout.rewards[t, n]), world_model_loss=loss,
-                    policy_entropy=float(entropy[t, n]), value=float(rollout.values[t, n]),
-                )  # fmt: skip
+                figures = Figures(rewards[t][n], tuple(parts[t][n]), loss, entropy[t][n], values[t][n])
                 stream.record(played[t][n], figures, images[t + 1, n])
             stream.log.flush()
-        return losses
 
-    def _switch(self) -> None:
+    def _decide(self) -> None:
         """Let the curriculum decide for each stream in turn."""
-        threshold = self.config.threshold
-        if all(smoothed(stream.place.recent) >= threshold for stream in self.streams):
+        due = [
+            stream
+            for stream in self.streams
+            if self.rule.due(smoothed(stream.place.recent), stream.place.segment_step - stream.place.decided)
+        ]
+        if not due:
             return  # spares the losses of the worlds that nobody is in
-        losses = self._all_losses()
-        for stream in self.streams:
+        record, losses = self.record, self._all_losses()
+        before = record.last_losses or [math.inf] * self.config.pool
+        for stream in due:
+            current = stream.place.world
             taken = {other.place.world for other in self.streams if other is not stream}
-            decision = decide(losses, stream.place.world, taken, threshold)
+            decision = self.rule.decide(Situation(losses, before, current, taken, record.decisions))
+            record.decisions += 1
             if decision.kind == "exhausted":
                 self._end("exhausted", losses)
                 return
-            if decision.kind == "learned":
-                self._go(stream, decision.world, "learned", losses)
+            if decision.kind == "stay":
+                stream.place.decided = stream.place.segment_step
+            else:
+                self._go(stream, decision.world, decision.kind, losses)
+        record.last_losses = losses
 
     def _all_losses(self) -> list[float]:
         """Loss of every world of the pool, as the curriculum defines it."""
+        if not self.explorer.learns:
+            return [math.nan] * self.config.pool
         recent = {stream.place.world: stream.place.recent for stream in self.streams}
         return [
             smoothed(recent[world]) if world in recent else self.pool.loss(world, self.explorer, self.record.rollouts)
             for world in range(self.config.pool)
         ]
 
-    def _go(self, stream: Stream, world: int, reason: Reason, losses: list[float]) -> None:
+    def _go(self, stream: Stream, world: int, reason: Ended, losses: list[float]) -> None:
         place = stream.place
         self.record.segments.append(
             SegmentRecord(
@@ -218,7 +245,7 @@ class Exploration:
         )  # fmt: skip
         stream.switch(Switch(place.step, place.world, world, reason, losses))
 
-    def _end(self, reason: Reason, losses: list[float]) -> None:
+    def _end(self, reason: Ended, losses: list[float]) -> None:
         for stream in self.streams:
             self._go(stream, -1, reason, losses)
         self.record.ended, self.record.final_losses = reason, losses

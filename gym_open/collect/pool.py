@@ -1,26 +1,21 @@
-"""The pool: the distinct sandbox worlds to play in, each as it was left, with the last pictures seen of it."""
+"""The pool: the distinct sandbox worlds to play in, each as it was left, with the last transitions seen in it."""
 
 import math
-from collections.abc import Iterable
 
-import msgspec
 import numpy as np
 import torch
 from torch import Tensor
 
 from gym_open import seeding
 from gym_open.agents.explorer import Explorer
+from gym_open.agents.world_model import Transitions
+from gym_open.collect.tally import Tally
 from gym_open.envs.puzzles import Puzzle
 from gym_open.envs.puzzles.generators import SandboxConfig, sample_puzzle
 from gym_open.envs.world import World
 from gym_open.errors import GymOpenError
 
-
-class Visits(msgspec.Struct):
-    """How often a world was entered and how long it was played in, all streams together."""
-
-    visits: int = 0
-    steps: int = 0
+_FIELDS = ("obs", "actions", "next_obs")
 
 
 def sample_pool(size: int, sandbox: SandboxConfig, seed: int) -> tuple[Puzzle, ...]:
@@ -44,16 +39,16 @@ class Pool:
 
     Attributes:
         left: integration state of each world that was left, by index.
-        visits: one a world.
+        tallies: one a world.
     """
 
     def __init__(self, puzzles: tuple[Puzzle, ...], probe: int, seed: int) -> None:
         self.puzzles = puzzles
         self.left: dict[int, np.ndarray] = {}
-        self.visits = [Visits() for _ in puzzles]
+        self.tallies = [Tally() for _ in puzzles]
         self._probe = probe
         self._seed = seed
-        self._seen: list[dict[bytes, np.ndarray]] = [{} for _ in puzzles]
+        self._seen: list[dict[bytes, tuple[np.ndarray, int, np.ndarray]]] = [{} for _ in puzzles]
 
     def first_looks(self) -> np.ndarray:
         """Every world as its puzzle has it, (pool, 84, 84, 3) uint8; nothing moves and nothing is remembered."""
@@ -64,42 +59,59 @@ class Pool:
             looks.append(world.observe())
         return np.stack(looks)
 
-    def see(self, world: int, images: Iterable[np.ndarray]) -> None:
-        """Keep the latest distinct pictures of a world, (84, 84, 3) uint8 each.
+    def see(self, world: int, obs: np.ndarray, actions: np.ndarray, next_obs: np.ndarray) -> None:
+        """Keep the latest transitions of a world, one an observation.
 
-        Distinct, because no world model can tell equal pictures apart: they would only put a floor under the loss.
+        Of distinct observations, because no world model can tell equal pictures apart: they would only put a floor
+        under the loss.
+
+        Args:
+            world: its index.
+            obs: (T, 84, 84, 3) uint8.
+            actions: (T,) int64, taken at `obs`.
+            next_obs: what each led to, like `obs`.
         """
         seen = self._seen[world]
-        for image in images:
+        for image, action, after in zip(obs, actions.tolist(), next_obs, strict=True):
             key = image.tobytes()
             seen.pop(key, None)
-            seen[key] = image.copy()
+            seen[key] = image.copy(), action, after.copy()
         self._seen[world] = dict(list(seen.items())[-self._probe :])
 
-    def loss(self, world: int, explorer: Explorer, rollout: int) -> float:
-        """The world model's loss on what was last seen of a world; infinite if that is nothing.
-
-        The random shifts depend on the seed, the world and the number of the rollout alone.
-        """
+    def transitions(self, world: int) -> Transitions | None:
+        """What is kept of a world, oldest first; None if nothing is."""
         seen = self._seen[world]
         if not seen:
+            return None
+        obs, actions, after = zip(*seen.values(), strict=True)
+        return Transitions(
+            torch.from_numpy(np.stack(obs)), torch.tensor(actions, dtype=torch.int64), torch.from_numpy(np.stack(after))
+        )
+
+    def loss(self, world: int, explorer: Explorer, rollout: int) -> float:
+        """The scaled loss of the explorer's world model on what was last seen of a world; infinite if that is nothing.
+
+        Its randomness depends on the seed, the world and the number of the rollout alone.
+        """
+        transitions = self.transitions(world)
+        if transitions is None:
             return math.inf
         number = seeding.integer(self._seed, "collect", "probe", world, rollout)
-        return explorer.world_loss(
-            torch.from_numpy(np.stack(list(seen.values()))), torch.Generator().manual_seed(number)
-        )
+        return explorer.world_loss(transitions, torch.Generator().manual_seed(number))
 
     def tensors(self) -> dict[str, Tensor]:
         """What was seen and how the worlds were left, by name."""
-        seen = {f"seen/{i}": np.stack(list(one.values())) for i, one in enumerate(self._seen) if one}
-        left = {f"left/{i}": state for i, state in self.left.items()}
-        return {name: torch.from_numpy(value) for name, value in {**seen, **left}.items()}
+        found = {f"left/{index}": torch.from_numpy(state) for index, state in self.left.items()}
+        for index in range(len(self.puzzles)):
+            transitions = self.transitions(index)
+            if transitions is not None:
+                found |= {f"{name}/{index}": getattr(transitions, name) for name in _FIELDS}
+        return found
 
     def load_tensors(self, tensors: dict[str, Tensor]) -> None:
         """Restore what `tensors` gave."""
-        for name, tensor in tensors.items():
-            what, index = name.split("/")
-            if what == "left":
-                self.left[int(index)] = tensor.numpy()
-            else:
-                self.see(int(index), tensor.numpy())
+        for index in range(len(self.puzzles)):
+            if f"left/{index}" in tensors:
+                self.left[index] = tensors[f"left/{index}"].numpy()
+            if f"obs/{index}" in tensors:
+                self.see(index, *(tensors[f"{name}/{index}"].numpy() for name in _FIELDS))

@@ -3,15 +3,18 @@
 import msgspec
 import numpy as np
 
+from gym_open.collect.config import LogConfig
 from gym_open.collect.pool import Pool
+from gym_open.collect.stuck import Watch, position
 from gym_open.envs.physics.contacts import Contact
 from gym_open.envs.physics.model import INVENTORY
 from gym_open.envs.world import World
+from gym_open.formats.log_schemas import Stuck
 from gym_open.formats.logs import LogWriter, SegmentStart, StepRecord, Switch
 
 
 class Place(msgspec.Struct):
-    """Where a stream is in its log and in the pool."""
+    """Where a stream is in its log and in the pool; plain data, for a checkpoint."""
 
     world: int = -1
     """Index in the pool; −1 before the start and after the end."""
@@ -20,44 +23,95 @@ class Place(msgspec.Struct):
     """Steps taken in this segment."""
     step: int = 0
     """Steps taken in all."""
+    continued: bool = False
+    """Whether the world had been left before."""
+    decided: int = 0
+    """Step of the segment at which the curriculum last let the stream stay."""
     loss_at_entry: float = float("inf")
     """Loss of the world as it decided when the stream went there."""
     recent: list[float] = msgspec.field(default_factory=list)
     """Losses measured since then, for the smoothed one."""
+    watch: Watch | None = None
+    """None while the stream is in no world."""
 
 
 class Played(msgspec.Struct, frozen=True, eq=False):
-    """What a stream saw of one step that is not in the images."""
+    """All that is logged of one step but its image and what the explorer thought of it."""
 
+    keyframe: SegmentStart | None
+    """Where one is due before the step."""
+    step: int
+    segment_step: int
     action: int
     object_state: np.ndarray
     contacts: tuple[Contact, ...]
+    depth: np.ndarray | None
+    segmentation: np.ndarray | None
+    stuck: list[Stuck]
+    """What began or ceased to be stuck with it."""
 
 
 class Figures(msgspec.Struct, frozen=True):
     """What the explorer thought of one step."""
 
     intrinsic_reward: float
+    reward_parts: tuple[float, ...]
     world_model_loss: float
     policy_entropy: float
     value: float
 
 
 class Stream:
-    """Plays in one world of the pool at a time and logs it."""
+    """Plays in one world of the pool at a time and logs it. `play` moves on, `record` writes what was played."""
 
-    def __init__(self, index: int, pool: Pool, log: LogWriter) -> None:
+    def __init__(self, index: int, pool: Pool, log: LogWriter, config: LogConfig) -> None:
         self.index = index
         self.place = Place()
         self.log = log
         self._pool = pool
+        self._config = config
         self._world = World()
 
     def play(self, action: int, image: np.ndarray) -> Played:
         """Take one action and draw what comes of it into `image`."""
+        place = self.place
+        due = place.segment_step > 0 and place.segment_step % self._config.keyframe_every == 0
+        keyframe = self._moment() if due else None
         outcome = self._world.step(action)
         self._world.observe(image)
-        return Played(action, self._world.object_state(), outcome.contacts)
+        states = self._world.object_state()
+        place.step += 1
+        place.segment_step += 1
+        stuck = self._count(states, outcome.contacts, pushed=action != 0)
+        return Played(
+            keyframe, place.step - 1, place.segment_step - 1, action, states, outcome.contacts, self._depth(),
+            self._segmentation(), stuck,
+        )  # fmt: skip
+
+    def _count(self, states: np.ndarray, contacts: tuple[Contact, ...], *, pushed: bool) -> list[Stuck]:
+        watch, tally = self.place.watch, self._pool.tallies[self.place.world]
+        assert watch is not None
+        stuck = watch.push(states, self.place.step) if pushed else []
+        tally.step(position(states), contacts)
+        tally.stuck_step(stuck, agent=watch.agent, corner=bool(watch.wedged))
+        return stuck
+
+    def _depth(self) -> np.ndarray | None:
+        return self._world.depth() if self._config.depth else None
+
+    def _segmentation(self) -> np.ndarray | None:
+        return self._world.segmentation() if self._config.segmentation else None
+
+    def _moment(self) -> SegmentStart:
+        """The world as it stands, from which its segment can be replayed."""
+        place = self.place
+        return SegmentStart(
+            index=place.segment, first_step=place.step - place.segment_step, segment_step=place.segment_step,
+            world=place.world, puzzle=self._pool.puzzles[place.world], continued=place.continued,
+            object_names=INVENTORY, object_state=self._world.object_state(),
+            integration_state=self._world.save_state(), image=self._world.observe(),
+            depth=self._depth(), segmentation=self._segmentation(),
+        )  # fmt: skip
 
     def look(self, image: np.ndarray) -> None:
         """Draw the world as it stands into `image`."""
@@ -65,21 +119,26 @@ class Stream:
 
     def record(self, played: Played, figures: Figures, image: np.ndarray) -> None:
         """Log one step and the image after it, (84, 84, 3)."""
-        place = self.place
+        if played.keyframe is not None:
+            self.log.segment(played.keyframe)
         self.log.step(
             StepRecord(
-                step=place.step, segment=place.segment, segment_step=place.segment_step, action=played.action,
-                object_state=played.object_state, contacts=played.contacts, image=image,
-                **msgspec.structs.asdict(figures),
+                step=played.step, segment=self.place.segment, segment_step=played.segment_step, action=played.action,
+                object_state=played.object_state, contacts=played.contacts, image=image, depth=played.depth,
+                segmentation=played.segmentation, intrinsic_reward=figures.intrinsic_reward,
+                reward_parts=figures.reward_parts, world_model_loss=figures.world_model_loss,
+                policy_entropy=figures.policy_entropy, value=figures.value,
             )
         )  # fmt: skip
-        place.step += 1
-        place.segment_step += 1
-        self._pool.visits[place.world].steps += 1
+        for turn in played.stuck:
+            self.log.stuck(turn)
 
     def switch(self, switch: Switch) -> None:
         """Leave the world as it is and go on in another one (or none), as that was left; log it."""
         place = self.place
+        if place.watch is not None:
+            for turn in place.watch.leave(self._world.object_state(), place.step):
+                self.log.stuck(turn)
         self.log.switch(switch)
         if place.world >= 0:
             self._pool.left[place.world] = self._world.save_state()
@@ -90,17 +149,13 @@ class Stream:
             self._enter()
 
     def _enter(self) -> None:
-        pool, place = self._pool, self.place
-        left = pool.left.pop(place.world, None)
+        place = self.place
+        left = self._pool.left.pop(place.world, None)
+        place.continued = left is not None
         self.load(left)
-        pool.visits[place.world].visits += 1
-        self.log.segment(
-            SegmentStart(
-                index=place.segment, first_step=place.step, world=place.world, puzzle=pool.puzzles[place.world],
-                continued=left is not None, object_names=INVENTORY, object_state=self._world.object_state(),
-                integration_state=self._world.save_state(), image=self._world.observe(),
-            )
-        )  # fmt: skip
+        place.watch = Watch(place.segment, position(self._world.object_state()))
+        self._pool.tallies[place.world].visits += 1
+        self.log.segment(self._moment())
 
     def load(self, state: np.ndarray | None) -> None:
         """Set the simulation to the place's world, in `state` or as its puzzle has it."""

@@ -1,0 +1,161 @@
+"""The summary of a run as one picture."""
+
+import io
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from gym_open.collect.config import CurriculumConfig
+from gym_open.envs.constants import CELL_0, COLUMNS, PITCH, ROWS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+BLUE, SKY, ORANGE, VERMILION, GREEN, PURPLE, GREY = (
+    "#0072B2", "#56B4E9", "#E69F00", "#D55E00", "#009E73", "#CC79A7", "#777777",
+)  # fmt: skip
+"""Colours that colour-blind readers tell apart (Okabe and Ito)."""
+STREAMS = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (PURPLE, ":"))
+"""Colour and dash of a stream; after the fourth they come again."""
+
+
+class Stay(NamedTuple):
+    """A stay in a world, in steps of all streams, which move at one pace."""
+
+    stream: int
+    world: int
+    first: int
+    last: int
+    loss_at_entry: float
+    """Not a number for a fresh world, or without a world model."""
+    loss_at_exit: float
+    ended: str
+
+
+def draw_summary(summary: Mapping[str, Any], curriculum: CurriculumConfig) -> bytes:
+    """PNG file of a run's summary (the contents of summary.json); equal summaries give equal bytes."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(15, 9), dpi=100, layout="constrained")
+    top, bottom = figure.subplots(2, 3)
+    stays = list(_stays(summary["segments"]))
+    _losses(top[0], summary["curve"], stays, curriculum)
+    _stays_in_worlds(top[1], stays, len(summary["worlds"]))
+    _entry_and_exit(top[2], stays, curriculum)
+    _worlds(bottom[0], summary["worlds"])
+    _coverage(figure, bottom[1], summary["coverage"])
+    _touches(bottom[2], summary)
+    for axes in (*top, bottom[0], bottom[2]):
+        axes.grid(alpha=0.25, linewidth=0.6)
+        axes.spines[["top", "right"]].set_visible(False)
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(frameon=False, fontsize=8)
+    reasons = ", ".join(f"{count} {reason}" for reason, count in summary["reasons"].items())
+    figure.suptitle(
+        f"{summary['explorer']}, curriculum “{summary['rule']}”: {summary['steps']:,} steps, "
+        f"{summary['switches']} switches; stays ended by: {reasons}"
+    )
+    out = io.BytesIO()
+    FigureCanvasAgg(figure).print_png(out, metadata={"Software": None})
+    return out.getvalue()
+
+
+def _stays(segments: list[dict[str, Any]]) -> Iterator[Stay]:
+    streams = len({item["stream"] for item in segments})
+    steps = [0] * streams
+    for item in sorted(segments, key=lambda item: (item["stream"], item["segment"])):
+        stream = item["stream"]
+        first, steps[stream] = steps[stream], steps[stream] + item["steps"]
+        entry, left = (np.nan if item[key] is None else item[key] for key in ("loss_at_entry", "loss_at_exit"))
+        yield Stay(stream, item["world"], first * streams, steps[stream] * streams, entry, left, item["ended"])
+
+
+def _losses(axes: "Axes", curve: Mapping[str, Any], stays: list[Stay], curriculum: CurriculumConfig) -> None:
+    columns = np.array(curve["rows"], dtype=np.float64).reshape(-1, len(curve["columns"])).T
+    named = dict(zip(curve["columns"], columns, strict=True))
+    axes.set(title="World model's loss, scaled", xlabel="steps of all streams", ylabel="loss")
+    _log_scale(axes, named["world_loss"], curriculum)
+    if np.isfinite(named["world_loss"]).any():
+        axes.plot(named["step"], named["world_model_loss"], color=SKY, linewidth=0.8, label="in training")
+        axes.plot(named["step"], named["world_loss"], color=BLUE, label="of the worlds in play")
+    left = sorted({stay.last for stay in stays if stay.last < named["step"][-1]})
+    if left:
+        floor = axes.get_xaxis_transform()
+        axes.plot(left, np.full(len(left), 0.02), "|", color="black", markersize=9, transform=floor, label="switch")
+
+
+def _log_scale(axes: "Axes", losses: np.ndarray, curriculum: CurriculumConfig) -> None:
+    """Losses fall by orders of magnitude; the threshold is drawn where it decides."""
+    if not (np.isfinite(losses) & (losses > 0)).any():
+        axes.text(0.5, 0.5, "no world model", transform=axes.transAxes, ha="center", color=GREY)
+        return
+    axes.set_yscale("log")
+    if curriculum.rule == "loss" and curriculum.threshold > 0:
+        axes.axhline(curriculum.threshold, color=VERMILION, linestyle="--", label="threshold: world learned")
+
+
+def _stays_in_worlds(axes: "Axes", stays: list[Stay], worlds: int) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    axes.set(title="Which world each stream is in", xlabel="steps of all streams", ylabel="world")
+    for stream in sorted({stay.stream for stay in stays}):
+        colour, dash = STREAMS[stream % len(STREAMS)]
+        own = [stay for stay in stays if stay.stream == stream]
+        steps = [step for stay in own for step in (stay.first, stay.last)]
+        rows = [stay.world for stay in own for _ in range(2)]
+        axes.plot(steps, rows, color=colour, linestyle=dash, linewidth=1.6, label=f"stream {stream}")
+    axes.set_ylim(-0.7, worlds - 0.3)
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+
+
+def _entry_and_exit(axes: "Axes", stays: list[Stay], curriculum: CurriculumConfig) -> None:
+    axes.set(title="Loss of a world, entered (○; at the foot: fresh) and left (●)", xlabel="steps of all streams")
+    axes.set_ylabel("loss, scaled")
+    _log_scale(axes, np.array([stay.loss_at_exit for stay in stays]), curriculum)
+    for stay in stays:
+        if not np.isfinite(stay.loss_at_exit):
+            continue
+        if np.isfinite(stay.loss_at_entry):
+            axes.plot(
+                [stay.first, stay.last], [stay.loss_at_entry, stay.loss_at_exit], color=GREY, linewidth=0.8, zorder=1
+            )
+            axes.plot(stay.first, stay.loss_at_entry, "o", markerfacecolor="none", color=BLUE, markersize=5)
+        else:
+            axes.plot(stay.first, 0.02, "o", markerfacecolor="none", color=ORANGE, transform=axes.get_xaxis_transform())
+        axes.plot(stay.last, stay.loss_at_exit, "o", color=BLUE, markersize=4)
+
+
+def _worlds(axes: "Axes", worlds: list[dict[str, Any]]) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    axes.set(title="Steps in each world, and visits", xlabel="world", ylabel="steps")
+    bars = axes.bar([row["world"] for row in worlds], [row["steps"] for row in worlds], color=BLUE)
+    axes.bar_label(bars, [str(row["visits"]) for row in worlds], fontsize=8)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+
+
+def _coverage(figure: "Figure", axes: "Axes", coverage: Mapping[str, Any]) -> None:
+    from matplotlib.colors import LogNorm
+
+    cells = np.array(coverage["cells"], dtype=np.float64)
+    axes.set(title=f"Where the agent was: {coverage['share']:.0%} of the table", xlabel="x (m)", ylabel="y (m)")
+    west, north = CELL_0[0] - PITCH / 2, CELL_0[1] + PITCH / 2
+    extent = (west, west + COLUMNS * PITCH, north - ROWS * PITCH, north)
+    # Grey, which the colour map lacks, is where it never was.
+    axes.set_facecolor("#BBBBBB")
+    shown = np.ma.masked_equal(cells, 0)
+    image = axes.imshow(shown, cmap="cividis", norm=LogNorm(1, max(cells.max(), 2)), extent=extent)
+    figure.colorbar(image, ax=axes, label="steps (grey: never)", shrink=0.9)
+
+
+def _touches(axes: "Axes", summary: Mapping[str, Any]) -> None:
+    counts = {kind: count for kind, count in summary["touches"].items() if count}
+    agent, corner = summary["stuck"]["agent"], summary["stuck"]["corner"]
+    axes.set_title(f"What the agent touched; stuck: agent {agent['times']}×, objects in corners {corner['times']}×")
+    axes.set_xlabel("contacts per 1000 steps")
+    rates = [1000 * count / max(summary["steps"], 1) for count in counts.values()]
+    axes.barh(list(counts), rates, color=BLUE)
+    axes.invert_yaxis()

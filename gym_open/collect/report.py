@@ -1,0 +1,83 @@
+"""The summary of a run as tables for a terminal."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from rich.console import Group
+from rich.table import Table
+
+from gym_open.errors import ArtefactError
+
+MOST_STAYS = 24
+"""Stays that are listed; of a longer run, the last ones."""
+
+
+def summary_table(log: Path) -> Group:
+    """What happened in the run of the log artefact `log`, from its summary.json.
+
+    Raises:
+        ArtefactError: if the summary is missing or not readable.
+    """
+    path = log / "summary.json"
+    try:
+        summary = msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
+    except (OSError, msgspec.DecodeError) as error:
+        raise ArtefactError(f"{path}: not readable: {error}; collect the log again") from None
+    return Group(_worlds(summary), _stays(summary["segments"]), _play(summary))
+
+
+def _worlds(summary: Mapping[str, Any]) -> Table:
+    title = f"{summary['explorer']}, curriculum “{summary['rule']}”: {summary['steps']:,} steps, {summary['ended']}"
+    table = _table(title, "world", "visits", "steps", "final loss", "table seen", "agent stuck", "in corners")
+    for row in summary["worlds"]:
+        stuck, loss = row["stuck"], _loss(row["final_loss"], fresh=not row["visits"])
+        table.add_row(
+            str(row["world"]), str(row["visits"]), f"{row['steps']:,}", loss,
+            f"{row['coverage']:.0%}", str(stuck["agent"]["times"]), str(stuck["corner"]["times"]),
+        )  # fmt: skip
+    return table
+
+
+def _stays(segments: list[dict[str, Any]]) -> Table:
+    shown = segments[-MOST_STAYS:]
+    title = "stays" if len(shown) == len(segments) else f"the last {len(shown)} of {len(segments)} stays"
+    table = _table(title, "stream", "world", "steps", "loss entered", "loss left", "ended by")
+    for row in shown:
+        entered, left = row["loss_at_entry"], row["loss_at_exit"]
+        table.add_row(
+            str(row["stream"]), str(row["world"]), f"{row['steps']:,}", _loss(entered, fresh=left is not None),
+            _loss(left), row["ended"],
+        )  # fmt: skip
+    return table
+
+
+def _play(summary: Mapping[str, Any]) -> Table:
+    table = Table(title="play", title_justify="left", show_header=False)
+    table.add_column()
+    table.add_column(overflow="fold")
+    coverage, stuck = summary["coverage"], summary["stuck"]
+    reasons = ", ".join(f"{reason} {count}" for reason, count in summary["reasons"].items())
+    touches = ", ".join(f"{kind} {count:,}" for kind, count in summary["touches"].items() if count)
+    table.add_row("stays ended by", reasons)
+    table.add_row(
+        "table seen",
+        f"{coverage['share']:.0%} of its cells; of those of a visited world {coverage['share_of_visited_worlds']:.0%}",
+    )
+    table.add_row("agent touched", touches or "nothing")
+    table.add_row("agent stuck", f"{stuck['agent']['times']} times, {stuck['agent']['steps']:,} steps")
+    table.add_row("objects in corners", f"{stuck['corner']['times']} times, {stuck['corner']['steps']:,} steps")
+    return table
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = Table(title=title, title_justify="left")
+    for name in columns:
+        table.add_column(name, justify="left" if name == "ended by" else "right")
+    return table
+
+
+def _loss(value: float | None, *, fresh: bool = False) -> str:
+    """A loss, which is null in JSON of a fresh world, and of any without a world model."""
+    return f"{value:.2g}" if value is not None else "fresh" if fresh else "–"

@@ -1,0 +1,101 @@
+"""Who cannot move: an agent that gets nowhere, an object wedged in a corner of the table. Nothing is done about it.
+
+A *push* is an action other than the no-op, which lets no time pass.
+
+- The agent is stuck when 32 pushes in a row leave it within 2 cm of where it stood, until it gets further.
+- An object is wedged when it has been in a corner for 256 pushes without leaving it, until it does. It is in a corner
+  while the gaps between it and two walls are both narrower than the agent, which then cannot get behind it.
+"""
+
+import msgspec
+import numpy as np
+
+from gym_open.envs.constants import RADIUS, RECTANGLE_LENGTH, WALL_X, WALL_Y
+from gym_open.envs.physics.model import INVENTORY, kind_of
+from gym_open.formats.log_schemas import Stuck
+
+REACH_M = 0.02
+AGENT_PUSHES = 32
+CORNER_PUSHES = 256
+
+_AGENT = INVENTORY.index("agent")
+_GAP = 2 * RADIUS
+"""Width of the agent."""
+_LONGER = np.array([RECTANGLE_LENGTH / 2 - RADIUS if kind_of(name) == "rectangle" else 0.0 for name in INVENTORY])
+"""(objects,) metres by which half the length of an object is more than half its height."""
+
+
+class Watch(msgspec.Struct):
+    """Watches one world from when a stream enters it until it leaves; plain data, for a checkpoint."""
+
+    segment: int
+    """Number of the stay within its stream."""
+    place: tuple[float, float, float]
+    """Where the agent was when it was last further than 2 cm from where it had been; metres."""
+    pushes: int = 0
+    """Since then."""
+    cornered: dict[str, int] = {}
+    """Objects in a corner now, and the pushes after which each was there, without a gap."""
+
+    @property
+    def agent(self) -> bool:
+        """Whether the agent is stuck."""
+        return self.pushes >= AGENT_PUSHES
+
+    @property
+    def wedged(self) -> list[str]:
+        """Objects wedged in a corner."""
+        return [name for name, pushes in self.cornered.items() if pushes >= CORNER_PUSHES]
+
+    def push(self, states: np.ndarray, step: int) -> list[Stuck]:
+        """Look at the world after a push.
+
+        Args:
+            states: of all objects, (objects, 13).
+            step: steps that the stream had then taken.
+
+        Returns:
+            What began or ceased to be stuck.
+        """
+        before = self._stuck()
+        here = position(states, _AGENT)
+        if np.linalg.norm(np.subtract(here, self.place)) > REACH_M:
+            self.place, self.pushes = here, 0
+        else:
+            self.pushes += 1
+        self.cornered = {name: self.cornered.get(name, 0) + 1 for name in in_corner(states)}
+        after = self._stuck()
+        ceased = [self._record(name, states, step, began=False) for name in before if name not in after]
+        return ceased + [self._record(name, states, step, began=True) for name in after if name not in before]
+
+    def leave(self, states: np.ndarray, step: int) -> list[Stuck]:
+        """What ceases to be stuck, as far as the log goes, because the world is left; arguments as of `push`."""
+        return [self._record(name, states, step, began=False) for name in self._stuck()]
+
+    def _stuck(self) -> list[str]:
+        return ["agent", *self.wedged] if self.agent else self.wedged
+
+    def _record(self, name: str, states: np.ndarray, step: int, *, began: bool) -> Stuck:
+        place = position(states, INVENTORY.index(name))
+        return Stuck(step, self.segment, "agent" if name == "agent" else "corner", name, began, place)
+
+
+def in_corner(states: np.ndarray) -> list[str]:
+    """Names of the objects in a corner of the table, the agent aside; `states` is (objects, 13)."""
+    x, y = np.abs(states[:, 0]), np.abs(states[:, 1])
+    near = (x > WALL_X - RADIUS - _GAP - _LONGER) & (y > WALL_Y - RADIUS - _GAP - _LONGER) & (y < WALL_Y)
+    near[_AGENT] = False
+    if not near.any():
+        return []
+    # A rectangle reaches as far towards a wall as its long axis, the x axis of its body, points there.
+    w, qx, qy, qz = states[:, 3:7].T
+    reach_x = RADIUS + _LONGER * np.abs(1 - 2 * (qy * qy + qz * qz))
+    reach_y = RADIUS + _LONGER * np.abs(2 * (qx * qy + w * qz))
+    near &= (WALL_X - reach_x - x < _GAP) & (WALL_Y - reach_y - y < _GAP)
+    return [INVENTORY[index] for index in np.flatnonzero(near)]
+
+
+def position(states: np.ndarray, index: int = _AGENT) -> tuple[float, float, float]:
+    """Where an object is, by default the agent, in metres; `states` is (objects, 13)."""
+    x, y, z = states[index, :3].tolist()
+    return x, y, z
