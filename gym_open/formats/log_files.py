@@ -6,17 +6,13 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import msgspec
-from mcap.well_known import MessageEncoding, SchemaEncoding
-from mcap.writer import CompressionType, Writer
 
 from gym_open.artefacts import canonical_json
 from gym_open.formats import log_schemas as schemas
 from gym_open.formats.log_container import Logged
+from gym_open.formats.log_mcap import McapWriter
 from gym_open.formats.log_messages import messages_of
 from gym_open.formats.log_schemas import LogError, LogHead, Record, SegmentStart
-
-CHUNK_BYTES = 4 * 2**20
-"""A chunk is closed when it holds this much, or at `flush`."""
 
 
 class LogFiles:
@@ -39,27 +35,19 @@ class LogFiles:
         self._path = self._folder / schemas.log_name(self._head.stream, part)
         with self._full_disk():
             self._file = self._path.open("wb")
-            self._writer = Writer(
-                self._file, CHUNK_BYTES, CompressionType.ZSTD, enable_crcs=True, enable_data_crcs=True
-            )
-            self._writer.start(profile="ros2")
+            self._writer = McapWriter(self._file)
             self._write_head()
 
     def _write_head(self) -> None:
         head, writer = self._head, self._writer
-        types: dict[str, int] = {}
-        self._channels: dict[str, int] = {}
-        for topic, (name, definition) in schemas.DEFINITIONS.items():
-            if name not in types:
-                types[name] = writer.register_schema(name, SchemaEncoding.ROS2, definition.encode())
-            self._channels[topic] = writer.register_channel(topic, MessageEncoding.CDR, types[name])
+        self._channels = {topic: writer.channel(topic, *type_) for topic, type_ in schemas.DEFINITIONS.items()}
         pool = canonical_json([msgspec.json.decode(puzzle.to_json()) for puzzle in head.puzzles])
         for name, media_type, data in (
             (schemas.CONFIG, "application/json", canonical_json(head.config)),
             (schemas.MODEL, "application/xml", head.model_xml.encode()),
             (schemas.POOL, "application/json", pool),
         ):
-            writer.add_attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)
+            writer.attach(name, media_type, data)
         identity = {
             "format": schemas.FORMAT,
             "keyframe_every": str(head.keyframe_every),
@@ -68,21 +56,18 @@ class LogFiles:
             "step_ns": str(schemas.STEP_NS),
             "stream": str(head.stream),
         }
-        writer.add_metadata(schemas.HEAD, identity)
-        writer.add_metadata(schemas.PROVENANCE, dict(sorted(head.provenance.items())))
+        writer.metadata(schemas.HEAD, identity)
+        writer.metadata(schemas.PROVENANCE, dict(sorted(head.provenance.items())))
 
     def add(self, record: Record) -> None:
         """Write a record; in a new file, if this one is large and the record is a keyframe."""
-        if isinstance(record, SegmentStart) and self.messages > self._first and self._file.tell() >= self._roll_bytes:
+        if isinstance(record, SegmentStart) and self.messages > self._first and self._writer.size >= self._roll_bytes:
             self._roll()
         for message in messages_of(record, self._head.reward_parts):
             self.put(message)
 
     def _roll(self) -> None:
-        with self._full_disk():
-            self._writer.flush()
-            self._writer.add_metadata(schemas.CONTINUES, {"part": str(self._part + 1)})
-        self.finish()
+        self.finish(goes_on=True)
         self._open(self._part + 1)
 
     def put(self, message: Logged) -> None:
@@ -94,11 +79,10 @@ class LogFiles:
                 "the run was killed, so going on would not be the same run (another machine or changed packages?); "
                 "the old log is kept: move the unfinished folder away to start over"
             )
-        with self._full_disk():
-            self._writer.add_message(
-                channel_id=self._channels[message.topic], log_time=message.time, publish_time=message.time,
-                sequence=self.messages, data=message.data,
-            )  # fmt: skip
+        try:
+            self._writer.message(self._channels[message.topic], self.messages, message.time, message.data)
+        except OSError as error:
+            raise self._unwritable(error) from error
         self.messages += 1
 
     def flush(self) -> None:
@@ -112,11 +96,13 @@ class LogFiles:
         with self._full_disk():
             os.fsync(self._file.fileno())
 
-    def finish(self) -> None:
-        """Write the file's index; it is whole after this."""
+    def finish(self, *, goes_on: bool = False) -> None:
+        """Write the file's index; it is whole after this. If the stream `goes_on` in a further part, say so before."""
         with self._full_disk():
+            if goes_on:
+                self._writer.flush()
+                self._writer.metadata(schemas.CONTINUES, {"part": str(self._part + 1)})
             self._writer.finish()
-            self._file.flush()
             os.fsync(self._file.fileno())
             self._file.close()
 
@@ -130,7 +116,10 @@ class LogFiles:
         try:
             yield
         except OSError as error:
-            raise LogError(
-                f"{self._path}: cannot be written ({error.strerror}); what was written before is kept: make room, then "
-                "run the same command again (it goes on)"
-            ) from error
+            raise self._unwritable(error) from error
+
+    def _unwritable(self, error: OSError) -> LogError:
+        return LogError(
+            f"{self._path}: cannot be written ({error.strerror}); what was written before is kept: make room, then run "
+            "the same command again (it goes on)"
+        )
