@@ -1,0 +1,178 @@
+"""Saving what is whole of a damaged log file: everything up to the last step before the damage, in a file beside it."""
+
+import shutil
+import sys
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from gym_open import progress
+from gym_open.errors import GymOpenError
+from gym_open.formats import log_schemas as schemas
+from gym_open.formats.log_cdr import CdrReader
+from gym_open.formats.log_container import Damage, Logged, read_head, scan, whole_chunks
+from gym_open.formats.log_files import LogFiles
+from gym_open.formats.log_messages import PIXELS, decode_switch
+from gym_open.formats.log_reader import open_log, parse_head
+from gym_open.formats.log_schemas import LogError, LogHead, SegmentStart, Switch, log_name
+from gym_open.formats.log_segments import decode_record, groups
+
+_NO_LIMIT = sys.maxsize
+"""Bytes at which a file would roll: a repaired one does not."""
+_PIECE = 256
+"""Steps in memory at a time while the saved file is read back."""
+
+
+class Repair(msgspec.Struct, frozen=True):
+    """What came of a repair."""
+
+    saved: Path | None
+    """The new file; None if the old one is whole."""
+    steps: int = 0
+    """Steps saved."""
+    last_step: int | None = None
+    """The stream's number of the last of them."""
+    offset: int = 0
+    """First byte of the old file that cannot be right."""
+    missing_bytes: int = 0
+    """From there to its end."""
+    what: str = ""
+    """What is wrong there."""
+    cut: bool = False
+    """Whether play went on in what is missing; else all of it was saved, and only the file's index was lost."""
+
+
+class _Whole(msgspec.Struct):
+    """The part of a file that can be saved."""
+
+    groups: int = 0
+    """How many records, from the first on."""
+    steps: int = 0
+    last_step: int | None = None
+    end: Switch | None = None
+    """The switch to add after them; None if play had ended, or goes on in a further part."""
+    goes_on: bool = False
+    """Whether the file says that the stream goes on in a further part."""
+
+
+def repair(path: Path) -> Repair:
+    """Write what is whole of the log file at `path` to `NAME-repaired.mcap` beside it.
+
+    The new file is whole or absent; it is read back before it gets its name. If play went on in what is missing, it
+    ends with a switch whose reason is `cut`. The old file is left as it is.
+
+    Raises:
+        LogError: if nothing can be saved: the file is none of ours, its head is damaged, or no step in it is whole; or
+            if the new file is there already.
+    """
+    target = path.with_name(f"{path.stem}-repaired.mcap")
+    found = _damage(path)
+    if found is None:
+        return Repair(saved=None)
+    try:
+        head, part = parse_head(read_head(path))
+    except Damage as damage:
+        raise LogError(f"{path}: damaged at byte {damage.offset}: {damage.what}; nothing can be saved of it") from None
+    except (ValueError, KeyError, GymOpenError) as error:
+        raise LogError(f"{path}: not a log of this version, or its head is damaged: {error}") from None
+    if target.exists():
+        raise LogError(f"{target}: is there already and is not overwritten; move it away and run the command again")
+    contents, _ = scan(path)
+    goes_on = schemas.CONTINUES in contents.metadata and contents.chunks[-1].offset < found.offset
+    with progress.bar("repairing", 2 * sum(place.offset < found.offset for place in contents.chunks)) as bar:
+        try:
+            whole = _whole(path, bar, head, goes_on=goes_on)
+            _write(path, target, whole, bar, head=head, part=part)
+        except ValueError as error:
+            raise LogError(f"{path}: not written by `gym-open collect`: {error}; nothing can be saved") from None
+    return Repair(
+        saved=target, steps=whole.steps, last_step=whole.last_step, offset=found.offset, what=found.what,
+        missing_bytes=path.stat().st_size - found.offset, cut=whole.end is not None,
+    )  # fmt: skip
+
+
+def _damage(path: Path) -> Damage | None:
+    """Where the file is damaged: at its end if only the last switch lacks."""
+    if not path.is_file():
+        raise LogError(f"{path}: no such log")
+    _, damage = scan(path)
+    if damage is None:
+        try:
+            open_log(path)
+        except LogError as error:
+            return Damage(path.stat().st_size, str(error))
+    return damage
+
+
+def _complete(path: Path, bar: progress.Bar) -> Iterator[list[Logged]]:
+    """Messages of each record that is whole, in order: of the last one, some may be missing."""
+
+    def messages() -> Iterator[Logged]:
+        for chunk in whole_chunks(path):
+            yield from chunk
+            bar.advance()
+
+    held: list[Logged] = []
+    pictures: set[str] = set()
+    for group in groups(messages()):
+        if held:
+            yield held
+        held = group
+        if group[0].topic == schemas.SEGMENT:
+            pictures = pictures or {message.topic for message in group} & set(PIXELS)
+    needed = {
+        schemas.SEGMENT: pictures,
+        schemas.STEP: pictures | {schemas.METRICS},
+        schemas.SWITCH: {schemas.EVENTS},
+        schemas.STUCK: {schemas.EVENTS},
+    }
+    if held and needed[held[0].topic] <= {message.topic for message in held}:
+        yield held
+
+
+def _whole(path: Path, bar: progress.Bar, head: LogHead, *, goes_on: bool) -> _Whole:
+    """Find the last record that can be saved. Raises LogError if there is no step before it."""
+    whole, switched, world, now = _Whole(goes_on=goes_on), 0, -1, 0
+    last = Switch(0, -1, -1, "start", [np.nan] * len(head.puzzles))
+    for group in _complete(path, bar):
+        topic, _, data = group[0]
+        if topic == schemas.SEGMENT:
+            start = decode_record(group, head.puzzles)
+            assert isinstance(start, SegmentStart)
+            world, now = start.world, start.first_step + start.segment_step
+        elif topic == schemas.STEP:
+            whole.last_step = CdrReader(data).integer("Q")
+            whole.steps, now = whole.steps + 1, whole.last_step + 1
+        elif topic == schemas.SWITCH:
+            last, switched, world = decode_switch(data), whole.groups, -1
+        whole.groups += 1
+    if not whole.steps:
+        raise LogError(f"{path}: no whole step in it before the damage; nothing can be saved")
+    if world >= 0 and not goes_on:
+        whole.end = Switch(now, world, -1, "cut", last.world_losses)
+    elif last.to_world >= 0 and not goes_on:  # the world that was entered has left no trace
+        whole.groups, whole.end = switched, msgspec.structs.replace(last, to_world=-1, reason="cut")
+    return whole
+
+
+def _write(path: Path, target: Path, whole: _Whole, bar: progress.Bar, *, head: LogHead, part: int) -> None:
+    partial = target.with_name(f".{target.stem}.partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir()
+    try:
+        files = LogFiles(partial, head, _NO_LIMIT, part=part)
+        for group in islice(_complete(path, bar), whole.groups):
+            for message in group:
+                files.put(message)
+        if whole.end is not None:
+            files.add(whole.end)
+        files.finish(goes_on=whole.goes_on)
+        made = partial / log_name(head.stream, part)
+        for _ in open_log(made).segments(_PIECE):
+            pass
+        made.rename(target)
+    finally:
+        shutil.rmtree(partial)
