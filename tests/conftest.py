@@ -33,7 +33,7 @@ def write_log(folder: Path, recipe: LogRecipe) -> dict[str, Any]:
 
     rng = np.random.default_rng(recipe.seed)
     puzzles = tuple(sample_puzzle("sandbox", rng) for _ in range(3))
-    config = {"threshold": recipe.threshold, "seed": recipe.seed}
+    config = {"curriculum": {"threshold": recipe.threshold}, "seed": recipe.seed}
 
     def picture() -> np.ndarray:
         return rng.integers(0, 256, (84, 84, 3), dtype=np.uint8)
@@ -44,8 +44,7 @@ def write_log(folder: Path, recipe: LogRecipe) -> dict[str, Any]:
         return drawn
 
     for stream, lengths in enumerate(recipe.lengths):
-        head = LogHead(stream, config, puzzles, {"code": "test"}, "<mujoco/>")
-        with LogWriter(folder / f"stream-{stream:03d}.mcap", head) as log:
+        with LogWriter(folder, LogHead(stream, config, puzzles, {"code": "test"}, "<mujoco/>")) as log:
             log.switch(Switch(0, -1, 0, "start", [np.inf] * 3))
             step = 0
             for index, length in enumerate(lengths):

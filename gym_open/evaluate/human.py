@@ -25,12 +25,12 @@ from gym_open.envs.world import World
 from gym_open.errors import ArtefactError, ConfigError, GymOpenError
 from gym_open.evaluate.play import Episodes, summarise, write_episodes
 from gym_open.evaluate.proof import Proof
-from gym_open.formats.logs import LogHead, LogWriter, SegmentStart, StepRecord, Switch
+from gym_open.formats.logs import LogHead, LogWriter, SegmentStart, StepRecord, Switch, log_name
 
 if TYPE_CHECKING:
     from gym_open.evaluate.human_window import Window
 
-LOG = "stream-000.mcap"
+LOG = log_name(0, 0)
 SIDE = 672
 """Pixels of the window's edge at first."""
 PAUSE_S = 0.8
@@ -85,7 +85,7 @@ Save = Callable[[], None]
 def play_as_person(config: HumanConfig, out: Path) -> artefacts.Outcome:
     """Let a person play, and write the scores: an artefact of kind `scores` with the log beside them.
 
-    Payload: `scores.json` and `episodes.parquet` as `evaluate` writes them, and `stream-000.mcap`.
+    Payload: `scores.json` and `episodes.parquet` as `evaluate` writes them, and `stream-000-000.mcap`.
 
     Raises:
         ConfigError: if the range of puzzles is none.
@@ -111,7 +111,7 @@ def _work(config: HumanConfig, folder: Path) -> Mapping[str, Any]:
         play_rounds(
             config, ids, puzzles, rounds, lambda: artefacts.write_atomically(record, msgspec.json.encode(rounds))
         )
-    write_log(folder / LOG, config, puzzles, rounds)
+    write_log(folder, config, puzzles, rounds)
     write_scores(folder, config, ids, puzzles, rounds)
     return {
         "task": config.task,
@@ -171,8 +171,8 @@ def _play_on(env: OpenEnv, window: "Window", one: Round, title: str, save: Save)
         save()
 
 
-def write_log(path: Path, config: HumanConfig, puzzles: tuple[Puzzle, ...], rounds: Sequence[Round]) -> None:
-    """Play the rounds again and log them: one stream, a segment a puzzle.
+def write_log(folder: Path, config: HumanConfig, puzzles: tuple[Puzzle, ...], rounds: Sequence[Round]) -> None:
+    """Play the rounds again and log them in `folder`: one stream, a segment a puzzle.
 
     A person has no intrinsic reward, world model, policy or value: these figures are NaN. The losses of the worlds are
     infinite, as of any world that no model has seen.
@@ -184,7 +184,7 @@ def write_log(path: Path, config: HumanConfig, puzzles: tuple[Puzzle, ...], roun
     provenance = {"code": artefacts.code_version(), "player": config.player, **packages}
     unknown = [np.inf] * len(puzzles)
     world, step = World(), 0
-    with LogWriter(path, LogHead(0, to_dict(config), puzzles, provenance, model_xml())) as log:
+    with LogWriter(folder, LogHead(0, to_dict(config), puzzles, provenance, model_xml())) as log:
         log.switch(Switch(0, -1, 0, "start", unknown))
         for i, (puzzle, one) in enumerate(zip(puzzles, rounds, strict=True)):
             _log_round(log, world, puzzle, one, index=i, first_step=step)

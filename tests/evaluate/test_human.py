@@ -152,7 +152,7 @@ def test_no_release_is_made_of_a_played_log(scores: Path, tmp_path: Path) -> Non
         return {"task": "sandbox", "extrinsic_reward": False}
 
     log = artefacts.build(tmp_path / "log", kind="log", config=Config(), parents=[], work=smuggle).path
-    with pytest.raises(ArtefactError, match=r"stream-000.mcap: holds puzzles of goal-seeking"):
+    with pytest.raises(ArtefactError, match=r"stream-000-000.mcap: holds puzzles of goal-seeking"):
         build_release(ReleaseConfig(), log, tmp_path / "release")
     assert not (tmp_path / "release").exists()
 
