@@ -48,15 +48,18 @@ def draw_summary(summary: Mapping[str, Any], curriculum: CurriculumConfig) -> by
     _worlds(bottom[0], summary["worlds"])
     _coverage(figure, bottom[1], summary["coverage"])
     _touches(bottom[2], summary)
+    for axes in top:
+        axes.set_xlim(0, summary["steps"])
     for axes in (*top, bottom[0], bottom[2]):
         axes.grid(alpha=0.25, linewidth=0.6)
         axes.spines[["top", "right"]].set_visible(False)
         if axes.get_legend_handles_labels()[0]:
             axes.legend(frameon=False, fontsize=8)
     reasons = ", ".join(f"{count} {reason}" for reason, count in summary["reasons"].items())
+    stuck = ", ".join(f"{kind} {counts['times']} times" for kind, counts in summary["stuck"].items())
     figure.suptitle(
         f"{summary['explorer']}, curriculum “{summary['rule']}”: {summary['steps']:,} steps, "
-        f"{summary['switches']} switches; stays ended by: {reasons}"
+        f"{summary['switches']} switches\nstays ended by: {reasons}; stuck: {stuck}"
     )
     out = io.BytesIO()
     FigureCanvasAgg(figure).print_png(out, metadata={"Software": None})
@@ -76,7 +79,7 @@ def _stays(segments: list[dict[str, Any]]) -> Iterator[Stay]:
 def _losses(axes: "Axes", curve: Mapping[str, Any], stays: list[Stay], curriculum: CurriculumConfig) -> None:
     columns = np.array(curve["rows"], dtype=np.float64).reshape(-1, len(curve["columns"])).T
     named = dict(zip(curve["columns"], columns, strict=True))
-    axes.set(title="World model's loss, scaled", xlabel="steps of all streams", ylabel="loss")
+    axes.set(title="World model's loss", xlabel="steps of all streams", ylabel="loss, scaled")
     _log_scale(axes, named["world_loss"], curriculum)
     if np.isfinite(named["world_loss"]).any():
         axes.plot(named["step"], named["world_model_loss"], color=SKY, linewidth=0.8, label="in training")
@@ -91,6 +94,7 @@ def _log_scale(axes: "Axes", losses: np.ndarray, curriculum: CurriculumConfig) -
     """Losses fall by orders of magnitude; the threshold is drawn where it decides."""
     if not (np.isfinite(losses) & (losses > 0)).any():
         axes.text(0.5, 0.5, "no world model", transform=axes.transAxes, ha="center", color=GREY)
+        axes.set_yticks([])
         return
     axes.set_yscale("log")
     if curriculum.rule == "loss" and curriculum.threshold > 0:
@@ -112,20 +116,20 @@ def _stays_in_worlds(axes: "Axes", stays: list[Stay], worlds: int) -> None:
 
 
 def _entry_and_exit(axes: "Axes", stays: list[Stay], curriculum: CurriculumConfig) -> None:
-    axes.set(title="Loss of a world, entered (○; at the foot: fresh) and left (●)", xlabel="steps of all streams")
-    axes.set_ylabel("loss, scaled")
+    axes.set(title="Loss of a world, entered and left", xlabel="steps of all streams", ylabel="loss, scaled")
     _log_scale(axes, np.array([stay.loss_at_exit for stay in stays]), curriculum)
-    for stay in stays:
-        if not np.isfinite(stay.loss_at_exit):
-            continue
-        if np.isfinite(stay.loss_at_entry):
-            axes.plot(
-                [stay.first, stay.last], [stay.loss_at_entry, stay.loss_at_exit], color=GREY, linewidth=0.8, zorder=1
-            )
-            axes.plot(stay.first, stay.loss_at_entry, "o", markerfacecolor="none", color=BLUE, markersize=5)
-        else:
-            axes.plot(stay.first, 0.02, "o", markerfacecolor="none", color=ORANGE, transform=axes.get_xaxis_transform())
-        axes.plot(stay.last, stay.loss_at_exit, "o", color=BLUE, markersize=4)
+    stays = [stay for stay in stays if np.isfinite(stay.loss_at_exit)]
+    again = [stay for stay in stays if np.isfinite(stay.loss_at_entry)]
+    fresh = [stay.first for stay in stays if not np.isfinite(stay.loss_at_entry)]
+    if fresh:
+        floor = axes.get_xaxis_transform()
+        axes.plot(fresh, np.full(len(fresh), 0.02), "^", color=ORANGE, transform=floor, label="entered fresh")
+    if again:
+        first, last, entry, left = np.array([(s.first, s.last, s.loss_at_entry, s.loss_at_exit) for s in again]).T
+        axes.plot([first, last], [entry, left], color=GREY, linewidth=0.8, zorder=1)
+        axes.plot(first, entry, "o", markerfacecolor="none", color=BLUE, markersize=5, label="entered again")
+    if stays:
+        axes.plot([s.last for s in stays], [s.loss_at_exit for s in stays], "o", color=BLUE, markersize=4, label="left")
 
 
 def _worlds(axes: "Axes", worlds: list[dict[str, Any]]) -> None:
@@ -144,18 +148,15 @@ def _coverage(figure: "Figure", axes: "Axes", coverage: Mapping[str, Any]) -> No
     axes.set(title=f"Where the agent was: {coverage['share']:.0%} of the table", xlabel="x (m)", ylabel="y (m)")
     west, north = CELL_0[0] - PITCH / 2, CELL_0[1] + PITCH / 2
     extent = (west, west + COLUMNS * PITCH, north - ROWS * PITCH, north)
-    # Grey, which the colour map lacks, is where it never was.
-    axes.set_facecolor("#BBBBBB")
+    axes.patch.set(hatch="///", edgecolor=GREY)
     shown = np.ma.masked_equal(cells, 0)
     image = axes.imshow(shown, cmap="cividis", norm=LogNorm(1, max(cells.max(), 2)), extent=extent)
-    figure.colorbar(image, ax=axes, label="steps (grey: never)", shrink=0.9)
+    figure.colorbar(image, ax=axes, label="steps (hatched: never)", shrink=0.9)
 
 
 def _touches(axes: "Axes", summary: Mapping[str, Any]) -> None:
     counts = {kind: count for kind, count in summary["touches"].items() if count}
-    agent, corner = summary["stuck"]["agent"], summary["stuck"]["corner"]
-    axes.set_title(f"What the agent touched; stuck: agent {agent['times']}×, objects in corners {corner['times']}×")
-    axes.set_xlabel("contacts per 1000 steps")
+    axes.set(title="What the agent touched", xlabel="contacts per 1000 steps")
     rates = [1000 * count / max(summary["steps"], 1) for count in counts.values()]
     axes.barh(list(counts), rates, color=BLUE)
     axes.invert_yaxis()

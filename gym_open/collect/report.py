@@ -59,7 +59,8 @@ def _play(summary: Mapping[str, Any]) -> Table:
     table.add_column(overflow="fold")
     coverage, stuck = summary["coverage"], summary["stuck"]
     reasons = ", ".join(f"{reason} {count}" for reason, count in summary["reasons"].items())
-    touches = ", ".join(f"{kind} {count:,}" for kind, count in summary["touches"].items() if count)
+    touched = sorted(summary["touches"].items(), key=lambda item: -item[1])
+    touches = ", ".join(f"{kind} {count:,}" for kind, count in touched if count)
     table.add_row("stays ended by", reasons)
     table.add_row(
         "table seen",

@@ -2,7 +2,8 @@
 
 A *push* is an action other than the no-op, which lets no time pass.
 
-- The agent is stuck when 32 pushes in a row leave it within 2 cm of where it stood, until it gets further.
+- The agent is stuck when 32 pushes in a row leave it within 2 cm of where it stood, until it gets further. One that
+  merely pushes into a wall is not: it bounces off it by 3 cm.
 - An object is wedged when it has been in a corner for 256 pushes without leaving it, until it does. It is in a corner
   while the gaps between it and two walls are both narrower than the agent, which then cannot get behind it.
 """
