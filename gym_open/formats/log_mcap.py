@@ -1,7 +1,7 @@
 """Writing the MCAP container: messages in zstd chunks, with every index and checksum that the format has.
 
-The `mcap` package writes it too, in some twenty calls a message; here a message is packed in one go, which takes a
-fifth of the time. Its types do for the records of which a file has few, and the tests read the files with its reader.
+The `mcap` package writes the same bytes (the tests hold this to it), in some twenty calls a message; here a message is
+packed in one go, which takes a fifth of the time. Its types do for the records of which a file has few.
 """
 
 import struct
@@ -76,7 +76,6 @@ class McapWriter:
             schema_id=self._schemas[message_type].id,
         )  # fmt: skip
         self._channels.append(channel)
-        self._counts[channel.id] = 0
         self._chunk += _bytes(channel)
         return channel.id
 
@@ -126,7 +125,7 @@ class McapWriter:
             places[channel] = self.size
             size = 8 * len(entries)
             self._write(struct.pack(f"<BQHI{len(entries)}Q", Opcode.MESSAGE_INDEX, 6 + size, channel, size, *entries))
-            self._counts[channel] += len(entries) // 2
+            self._counts[channel] = self._counts.get(channel, 0) + len(entries) // 2
         self._chunks.append(
             ChunkIndex(
                 chunk_length=end - start, chunk_start_offset=start, compression="zstd", compressed_size=len(packed),
@@ -171,7 +170,7 @@ class McapWriter:
     def _statistics(self) -> Statistics:
         return Statistics(
             attachment_count=len(self._attachments), channel_count=len(self._channels),
-            channel_message_counts={channel: count for channel, count in self._counts.items() if count},
+            channel_message_counts=self._counts,
             chunk_count=len(self._chunks), message_count=sum(self._counts.values()),
             message_end_time=max((chunk.message_end_time for chunk in self._chunks), default=0),
             message_start_time=min((chunk.message_start_time for chunk in self._chunks), default=0),
