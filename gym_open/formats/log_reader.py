@@ -31,22 +31,32 @@ REMEDY = (
 _NAME = re.compile(r"stream-(\d{3,})-(\d{3,})\.mcap")
 
 
+def found_files(artefact: Path) -> dict[int, dict[int, Path]]:
+    """The log files in a folder, by stream and part, whether all are there or not.
+
+    Raises:
+        ArtefactError: if there is none.
+    """
+    streams: dict[int, dict[int, Path]] = {}
+    for path in sorted(artefact.glob("stream-*.mcap")):
+        if match := _NAME.fullmatch(path.name):
+            streams.setdefault(int(match[1]), {})[int(match[2])] = path
+    if not streams:
+        raise ArtefactError(f"{artefact}: no logs (stream-*.mcap) in it; make some with `gym-open collect`")
+    return {stream: dict(sorted(parts.items())) for stream, parts in sorted(streams.items())}
+
+
 def log_files(artefact: Path) -> list[list[Path]]:
     """The files of a log artefact: the parts of each stream, both in order.
 
     Raises:
         ArtefactError: if there is none, or a part is missing.
     """
-    streams: dict[int, dict[int, Path]] = {}
-    for path in artefact.glob("stream-*.mcap"):
-        if match := _NAME.fullmatch(path.name):
-            streams.setdefault(int(match[1]), {})[int(match[2])] = path
-    if not streams:
-        raise ArtefactError(f"{artefact}: no logs (stream-*.mcap) in it; make some with `gym-open collect`")
-    for stream, parts in streams.items():
+    found = found_files(artefact)
+    for stream, parts in found.items():
         if missing := set(range(max(parts) + 1)) - set(parts):
             raise LogError(f"{artefact / log_name(stream, min(missing))}: missing, but a later part is there; {REMEDY}")
-    return [[parts[part] for part in sorted(parts)] for _, parts in sorted(streams.items())]
+    return [list(parts.values()) for parts in found.values()]
 
 
 class LogFile(NamedTuple):

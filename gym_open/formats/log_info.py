@@ -1,0 +1,173 @@
+"""What log files hold and how they are, whole or damaged: for a person to read."""
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from rich.table import Table
+
+from gym_open import progress
+from gym_open.errors import GymOpenError
+from gym_open.formats import log_schemas as schemas
+from gym_open.formats.log_container import Damage, Logged, read_head, scan, whole_chunks
+from gym_open.formats.log_messages import decode_segment, decode_stuck, decode_switch
+from gym_open.formats.log_reader import LogFile, found_files, parse_head
+from gym_open.formats.log_schemas import LogError, LogHead, Stuck, Switch
+
+_NO_PICTURE = np.empty(0)
+
+
+class FileInfo(msgspec.Struct):
+    """What one file holds; of a damaged one, before the damage."""
+
+    path: Path
+    bytes: int
+    head: LogHead
+    part: int
+    goes_on: bool = False
+    damage: Damage | None = None
+    messages: Counter[str] = msgspec.field(default_factory=Counter)
+    """Number by topic."""
+    first_world: int | None = None
+    """World that the file begins in."""
+    switches: list[Switch] = []
+    stuck: list[Stuck] = []
+
+    @property
+    def steps(self) -> int:
+        """Actions taken."""
+        return self.messages[schemas.STEP]
+
+    @property
+    def seconds(self) -> float:
+        """Simulated time."""
+        return self.steps * schemas.STEP_NS / 1e9
+
+    @property
+    def health(self) -> str:
+        """Whole, or at which byte it is not."""
+        if self.damage is not None:
+            return f"at byte {self.damage.offset:,}: {self.damage.what}"
+        if not (self.goes_on or (self.switches and self.switches[-1].to_world < 0)):
+            return "not ended: no last switch in it"
+        return f"whole, goes on in part {self.part + 1}" if self.goes_on else "whole"
+
+
+def inspect(path: Path) -> FileInfo:
+    """Read what the log file at `path` says about itself, and count what it holds up to the first damage.
+
+    Raises:
+        LogError: if it is missing or none of ours, or damaged before its first step.
+    """
+    if not path.is_file():
+        raise LogError(f"{path}: no such log")
+    try:
+        head, part = parse_head(read_head(path))
+        info = FileInfo(path, path.stat().st_size, head, part)
+        contents, info.damage = scan(path)
+        info.goes_on = schemas.CONTINUES in contents.metadata
+        if info.damage is None:
+            file = LogFile(path, contents, head, part, info.goes_on)
+            info.messages.update({topic: file.count(topic) for topic in schemas.DEFINITIONS})
+            _take_in(info, file.messages(schemas.SEGMENT, schemas.SWITCH, schemas.STUCK))
+        else:
+            for chunk in whole_chunks(path):
+                info.messages.update(message.topic for message in chunk)
+                _take_in(info, chunk)
+    except Damage as damage:
+        raise LogError(f"{path}: damaged at byte {damage.offset}: {damage.what}; no step before it is whole") from None
+    except (ValueError, KeyError, GymOpenError) as error:
+        raise LogError(f"{path}: not a log of gym-open, or of another version: {error}") from None
+    return info
+
+
+def _take_in(info: FileInfo, messages: Iterable[Logged]) -> None:
+    for message in messages:
+        if message.topic == schemas.SWITCH:
+            info.switches.append(decode_switch(message.data))
+        elif message.topic == schemas.STUCK:
+            info.stuck.append(decode_stuck(message.data))
+        elif message.topic == schemas.SEGMENT and info.first_world is None:
+            info.first_world = decode_segment(message.data, info.head.puzzles, _NO_PICTURE).world
+
+
+def info_tables(source: Path) -> list[Table]:
+    """Files, streams and channels of a log file or of a folder with logs.
+
+    Raises:
+        ArtefactError: if there is no log, or a file is none of ours.
+    """
+    paths = [source]
+    if not source.is_file():
+        paths = [path for parts in found_files(source).values() for path in parts.values()]
+    with progress.bar("log info", len(paths)) as bar:
+        files: list[FileInfo] = []
+        for path in paths:
+            files.append(inspect(path))
+            bar.advance()
+    return [_files(files), _streams(files, alone=source.is_file()), _channels(files)]
+
+
+def _table(title: str, left: Sequence[str], right: Sequence[str], last: Sequence[str] = ()) -> Table:
+    table = Table(title=title, title_justify="left")
+    for name in (*left, *right, *last):
+        table.add_column(name, justify="right" if name in right else "left", overflow="fold", no_wrap=name == "file")
+    return table
+
+
+def _files(files: Sequence[FileInfo]) -> Table:
+    head = files[0].head
+    seed = f", seed {head.provenance['seed']}" if "seed" in head.provenance else ""
+    title = f"{schemas.FORMAT}, written by {head.provenance.get('code', 'an unknown version')}{seed}"
+    table = _table(title, ["file"], ["steps", "simulated", "bytes", "bytes/step"], ["health"])
+    for file in files:
+        table.add_row(file.path.name, *_size([file]), file.health)
+    return table
+
+
+def _size(files: Sequence[FileInfo]) -> tuple[str, str, str, str]:
+    steps, size = sum(file.steps for file in files), sum(file.bytes for file in files)
+    each = f"{size / steps:,.0f}" if steps else "–"
+    return f"{steps:,}", f"{sum(file.seconds for file in files):,.0f} s", f"{size:,}", each
+
+
+def _streams(files: Sequence[FileInfo], *, alone: bool) -> Table:
+    right = ["steps", "bytes/step", "worlds", "segments", "stuck"]
+    table = _table("streams", ["stream"], right, ["switches", "health"])
+    for stream in sorted({file.head.stream for file in files}):
+        own = [file for file in files if file.head.stream == stream]
+        switches = [switch for file in own for switch in file.switches]
+        worlds = {own[0].first_world, *(switch.to_world for switch in switches)} - {None, -1}
+        entered = sum(switch.to_world >= 0 for switch in switches)
+        reasons = Counter(switch.reason for switch in switches)
+        steps, _, _, each = _size(own)
+        table.add_row(
+            str(stream), steps, each, f"{len(worlds)} of {len(own[0].head.puzzles)}", str(entered),
+            str(sum(stuck.began for file in own for stuck in file.stuck)),
+            ", ".join(f"{reason} {count}" for reason, count in reasons.items()),
+            _health(own, alone=alone),
+        )  # fmt: skip
+    return table
+
+
+def _health(files: Sequence[FileInfo], *, alone: bool) -> str:
+    """Of all files of a stream; of one that was asked for `alone`, other parts are not missed."""
+    if damaged := [str(file.part) for file in files if file.damage is not None]:
+        return f"part {', '.join(damaged)} damaged"
+    if alone:
+        return files[0].health
+    there = {file.part for file in files}
+    if missing := sorted(set(range(max(there) + 1 + files[-1].goes_on)) - there):
+        return f"part {', '.join(map(str, missing))} missing"
+    return "whole" if files[-1].health == "whole" else files[-1].health
+
+
+def _channels(files: Sequence[FileInfo]) -> Table:
+    table = _table("channels", ["topic", "type"], ["messages"])
+    total = sum((file.messages for file in files), Counter[str]())
+    for topic, (kind, _) in schemas.DEFINITIONS.items():
+        if total[topic]:
+            table.add_row(topic, kind, f"{total[topic]:,}")
+    return table
