@@ -12,7 +12,7 @@ from typing import Any, get_type_hints
 import tyro
 
 import gym_open
-from gym_open.cli import stages, world
+from gym_open.cli import logs, stages, world
 from gym_open.cli.base import Command
 from gym_open.config import check, load
 from gym_open.envs.look.backend import check_backend
@@ -22,6 +22,9 @@ COMMANDS: dict[str, type[Command]] = {
     "run": stages.Run,
     "init": stages.Init,
     "collect": stages.Collect,
+    "log info": logs.LogInfo,
+    "log replay": logs.LogReplay,
+    "log repair": logs.LogRepair,
     "dataset build": stages.DatasetBuild,
     "train encoder": stages.TrainEncoder,
     "train policy": stages.TrainPolicy,

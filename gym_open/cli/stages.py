@@ -42,7 +42,7 @@ class StageCommand(Command):
 class Collect(StageCommand):
     """Explore the sandbox without a task and log every step (MCAP).
 
-    Example: gym-open collect --steps 5000 --out collect/logs/short
+    Example: gym-open collect --config collect/icm.toml --steps 5000 --out collect/logs/short
     """
 
     settings: Settings[CollectConfig]
@@ -55,10 +55,17 @@ class Collect(StageCommand):
     def run(self) -> None:
         """Collect."""
         from gym_open.collect.explore import collect
+        from gym_open.collect.report import summary_table
 
         made = collect(self.settings, self.place(self.out, "collect/logs"))
+        out.print(summary_table(made.path))
         path = short(made.path)
-        report(made, f"gym-open dataset build --logs {path}", f"gym-open viz {path} --save {made.path.name}.rrd")
+        report(
+            made,
+            f"gym-open log replay {path}",
+            f"gym-open dataset build --logs {path}",
+            f"gym-open viz {path} --save {made.path.name}.rrd",
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
