@@ -1,10 +1,12 @@
-"""Encoder and random shift against plain NumPy."""
+"""Encoder and shifts against plain NumPy."""
 
 import numpy as np
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from gym_open.agents.augment import random_shift
+from gym_open.agents.augment import draw_shifts, no_shifts
 from gym_open.agents.config import EncoderConfig
 from gym_open.agents.encoder import Encoder, autocast
 
@@ -81,41 +83,43 @@ def test_bf16_stays_near_fp32_and_is_really_bf16() -> None:
     assert (low.float() - high).norm() < 0.02 * high.norm()
 
 
-def test_random_shift_moves_each_picture_and_fills_with_zero() -> None:
-    pad = 3
-    x = torch.rand(64, 2, 10, 12, generator=torch.Generator().manual_seed(0)) + 1
-    shifted = random_shift(x, pad, torch.Generator().manual_seed(1))
-    found = set()
-    for before, after in zip(x.numpy(), shifted.numpy(), strict=True):
-        padded = np.pad(before, ((0, 0), (pad, pad), (pad, pad)))
-        moves = [
-            (down, right)
-            for down in range(-pad, pad + 1)
-            for right in range(-pad, pad + 1)
-            if np.array_equal(after, padded[:, pad - down : pad - down + 10, pad - right : pad - right + 12])
-        ]
-        assert len(moves) == 1
-        found.add(moves[0])
-    assert {down for down, _ in found} == {right for _, right in found} == set(range(-pad, pad + 1))
+def moved(picture: np.ndarray, down: int, right: int) -> np.ndarray:
+    """A picture (H, W, C) moved, zero coming in."""
+    pad = 20
+    height, width, _ = picture.shape
+    padded = np.pad(picture, ((pad, pad), (pad, pad), (0, 0)))
+    return padded[pad - down : pad - down + height, pad - right : pad - right + width]
 
 
-def test_random_shift_keeps_memory_order_and_is_repeatable() -> None:
-    x = torch.rand(4, 3, 84, 84).to(memory_format=torch.channels_last)
-    a, b = (random_shift(x, 8, torch.Generator().manual_seed(5)) for _ in range(2))
-    assert torch.equal(a, b)
-    assert a.is_contiguous(memory_format=torch.channels_last)
-    assert random_shift(x, 0, torch.Generator()) is x
-
-
-@pytest.mark.parametrize("pad", [0, 5])
-def test_shifting_and_preparing_in_one_pass_is_the_same(pad: int) -> None:
-    net, images = encoder(), pictures(6)
+@given(seed=st.integers(0, 2**32), pad=st.integers(0, 12))
+@settings(max_examples=20, deadline=None)
+def test_shifts_are_applied_to_prepared_pictures_and_zero_comes_in(seed: int, pad: int) -> None:
+    net, images = encoder(), pictures(6, seed)
     net.set_mean_image(images[:4])
-    expected = random_shift(net.prepare(images), pad, torch.Generator().manual_seed(1))
-    found = net.prepare_shifted(images, pad, torch.Generator().manual_seed(1))
-    torch.testing.assert_close(found, expected, atol=1e-4, rtol=0)
+    shifts = draw_shifts(6, pad, torch.Generator().manual_seed(seed))
+    plain = images.numpy().astype(np.float64)
+    centred = (plain - plain[:4].mean(axis=0)) * 20 / 255
+    expected = np.stack([moved(one, *shift) for one, shift in zip(centred, shifts.tolist(), strict=True)])
+    found = net.prepare_shifted(images, shifts)
     assert found.is_contiguous(memory_format=torch.channels_last)
+    np.testing.assert_allclose(found.numpy(), expected.transpose(0, 3, 1, 2), atol=1e-4)
     with autocast("bf16"):
-        low = net.prepare_shifted(images, pad, torch.Generator().manual_seed(1))
+        low = net.prepare_shifted(images, shifts)
     assert low.dtype == torch.bfloat16
-    torch.testing.assert_close(low.float(), expected, atol=0.05, rtol=0.01)
+    torch.testing.assert_close(low.float(), found, atol=0.05, rtol=0.01)
+
+
+def test_no_shifts_is_preparing_alone() -> None:
+    net, images = encoder(), pictures(3)
+    net.set_mean_image(images[:2])
+    torch.testing.assert_close(net.prepare_shifted(images, no_shifts(3)), net.prepare(images), atol=1e-4, rtol=0)
+
+
+def test_drawn_shifts_are_uniform_on_both_axes_and_repeatable() -> None:
+    shifts = draw_shifts(7000, 3, torch.Generator().manual_seed(1))
+    assert torch.equal(shifts, draw_shifts(7000, 3, torch.Generator().manual_seed(1)))
+    for axis in shifts.numpy().T:
+        counts = np.bincount(axis + 3, minlength=7)
+        assert len(counts) == 7
+        np.testing.assert_allclose(counts, 1000, atol=5 * np.sqrt(1000))
+    assert abs(np.corrcoef(shifts.numpy().T)[0, 1]) < 0.05

@@ -1,0 +1,56 @@
+"""What the agents' tests learn from."""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+import torch
+
+from gym_open import seeding
+from gym_open.agents.world_model import Transitions
+from gym_open.envs.constants import N_ACTIONS
+from gym_open.envs.puzzles.generators import sample_puzzle
+from gym_open.envs.world import World
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+@pytest.fixture
+def pictures() -> Callable[..., torch.Tensor]:
+    """`pictures(count, seed)`: a square of a colour of its own at a place of its own in every picture."""
+
+    def draw(count: int, seed: int = 0) -> torch.Tensor:
+        rng = np.random.default_rng(seed)
+        images = np.full((count, 84, 84, 3), 90, np.uint8)
+        for image in images:
+            row, column = rng.integers(10, 60, 2)
+            image[row : row + 12, column : column + 12] = rng.integers(0, 256, 3)
+        return torch.from_numpy(images)
+
+    return draw
+
+
+@pytest.fixture(scope="session")
+def random_play() -> Callable[[int, int], Transitions]:
+    """`random_play(n, seed)`: n steps of uniformly random play in a sandbox world that the seed decides."""
+
+    def play(n: int, seed: int) -> Transitions:
+        rng = seeding.generator(seed, "test", "random play")
+        world = World()
+        world.load(sample_puzzle("sandbox", rng))
+        images = np.empty((n + 1, 84, 84, 3), np.uint8)
+        actions = rng.integers(0, N_ACTIONS, n)
+        world.observe(images[0])
+        for action, image in zip(actions, images[1:], strict=True):
+            world.step(int(action))
+            world.observe(image)
+        seen = torch.from_numpy(images)
+        return Transitions(seen[:-1], torch.from_numpy(actions), seen[1:])
+
+    return play

@@ -1,0 +1,95 @@
+"""Each world model learns from real play: on held-out worlds its loss falls, and ICM names the action."""
+
+from collections.abc import Callable
+
+import pytest
+import torch
+
+from gym_open.agents.augment import draw_shifts
+from gym_open.agents.config import EncoderConfig, ExplorerConfig, WorldModelName
+from gym_open.agents.encoder import Encoder, autocast
+from gym_open.agents.explorer import WORLD_MODELS
+from gym_open.agents.icm import Icm
+from gym_open.agents.world_model import Transitions, WorldModel
+
+RandomPlay = Callable[[int, int], Transitions]
+
+
+def joined(parts: list[Transitions]) -> Transitions:
+    return Transitions(*(torch.cat(columns) for columns in zip(*parts, strict=True)))
+
+
+def learned(
+    name: WorldModelName, train: Transitions, held_out: Transitions, n_updates: int
+) -> tuple[WorldModel, float]:
+    """A model after some updates on `train`, and its loss on `held_out` as a share of what that was before."""
+    init, draws = torch.Generator().manual_seed(0), torch.Generator().manual_seed(1)
+    encoder = Encoder(EncoderConfig(features=128), init)
+    encoder.set_mean_image(train.obs)
+    model = WORLD_MODELS[name](ExplorerConfig(), encoder, 9, init)
+    model.watch(train.obs)
+
+    def loss() -> float:
+        return model.world_loss(held_out, torch.Generator().manual_seed(2))
+
+    before = loss()
+    optimizer = torch.optim.Adam([p for p in model.parameters() if p.requires_grad], lr=1e-3, fused=True)
+    for _ in range(n_updates):
+        chosen = torch.randint(len(train.obs), (64,), generator=draws)
+        batch = Transitions(train.obs[chosen], train.actions[chosen], train.next_obs[chosen])
+        with autocast("bf16"):
+            objective = model.loss(batch, draw_shifts(64, 4, draws), draws)
+        optimizer.zero_grad()
+        objective.backward()
+        torch.nn.utils.clip_grad_norm_(model.parameters(), 0.5)
+        optimizer.step()
+        model.stepped()
+    return model, loss() / before
+
+
+def accuracy(model: WorldModel, play: Transitions) -> float:
+    """How often the inverse model names the action, of the steps in which anything changed."""
+    assert isinstance(model, Icm)
+    with torch.no_grad():
+        named = model.action_logits(model.latent(play.obs), model.latent(play.next_obs)).argmax(dim=1)
+    changed = (play.obs != play.next_obs).flatten(1).any(dim=1)
+    return (named == play.actions)[changed].float().mean().item()
+
+
+def distinct(play: Transitions) -> Transitions:
+    """The first step from each picture: contrasts between equal pictures cannot be learned."""
+    first: dict[bytes, int] = {}
+    for i, picture in enumerate(play.obs.numpy()):
+        first.setdefault(picture.tobytes(), i)
+    return Transitions(*(column[list(first.values())] for column in play))
+
+
+def played(random_play: RandomPlay, n_worlds: int, n_train: int, n_held_out: int) -> tuple[Transitions, Transitions]:
+    """Random play in some worlds: the first steps in each to learn from, the last ones held out."""
+    plays = [random_play(n_train + n_held_out, seed) for seed in range(n_worlds)]
+    train = [Transitions(*(column[:n_train] for column in play)) for play in plays]
+    held_out = [Transitions(*(column[n_train:] for column in play)) for play in plays]
+    return joined(train), distinct(joined(held_out))
+
+
+@pytest.mark.parametrize(("name", "share"), [("icm", 0.95), ("rnd", 0.6), ("curl", 0.6)])
+def test_a_few_updates_help_with_steps_never_seen(name: WorldModelName, share: float, random_play: RandomPlay) -> None:
+    _, left = learned(name, *played(random_play, 2, 256, 64), 40)
+    assert left < share
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "share"), [("icm", 0.5), ("rnd", 0.2), ("curl", 0.25)])
+def test_world_models_learn_worlds(name: WorldModelName, share: float, random_play: RandomPlay) -> None:
+    model, left = learned(name, *played(random_play, 10, 400, 100), 1500)
+    assert left < share
+    if name == "icm":  # also in worlds of which it has seen nothing
+        assert all(accuracy(model, random_play(200, seed)) > 0.5 for seed in range(10, 14))  # chance is 1/9
+
+
+def test_random_play_is_what_it_says(random_play: RandomPlay) -> None:
+    """The fixture itself: consecutive, repeatable, and not standing still."""
+    one, again = random_play(30, 3), random_play(30, 3)
+    assert all(torch.equal(a, b) for a, b in zip(one, again, strict=True))
+    assert torch.equal(one.obs[1:], one.next_obs[:-1])
+    assert len(distinct(one).obs) > 15

@@ -1,0 +1,84 @@
+"""Rewards over a world model whose latent and errors are known."""
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from gym_open.agents.config import EncoderConfig
+from gym_open.agents.encoder import Encoder
+from gym_open.agents.rewards import OwnError, RewardScale, Ride
+from gym_open.agents.world_model import Transitions, WorldModel
+
+
+class Known(WorldModel):
+    """The latent of a picture is its first three numbers; the errors are the action, and what changed in pixel 0."""
+
+    error_parts = ("action", "change")
+
+    def __init__(self) -> None:
+        super().__init__(Encoder(EncoderConfig(features=2), torch.Generator()), loss_scale=1.0)
+
+    def loss(
+        self,
+        transitions: Transitions,  # noqa: ARG002
+        shifts: Tensor,
+        generator: torch.Generator,  # noqa: ARG002
+        features: Tensor | None = None,  # noqa: ARG002
+    ) -> Tensor:
+        return shifts.float().sum()
+
+    def errors(self, transitions: Transitions) -> dict[str, Tensor]:
+        change = transitions.next_obs[:, 0, 0, 0].float() - transitions.obs[:, 0, 0, 0].float()
+        return {"change": change, "action": transitions.actions.float()}
+
+    def latent(self, images: Tensor) -> Tensor:
+        return images[:, 0, 0].float()
+
+
+@pytest.fixture
+def images() -> Tensor:
+    """Three steps in two worlds."""
+    return torch.from_numpy(np.random.default_rng(0).integers(0, 256, (4, 2, 84, 84, 3), dtype=np.uint8))
+
+
+def test_ride_is_the_distance_that_a_step_went_in_each_world(images: Tensor) -> None:
+    first = images[:, :, 0, 0].numpy().astype(np.float64)
+    expected = np.sqrt(((first[1:] - first[:-1]) ** 2).sum(axis=-1))
+    ride = Ride(Known())
+    found = ride(images, torch.zeros(3, 2, dtype=torch.int64))
+    assert ride.parts == ("impact",)
+    assert found.shape == (3, 2, 1)
+    np.testing.assert_allclose(found[..., 0].numpy(), expected, rtol=1e-6)
+
+
+def test_no_change_is_no_impact(images: Tensor) -> None:
+    still = images[:1].expand(4, -1, -1, -1, -1)
+    assert not Ride(Known())(still, torch.zeros(3, 2, dtype=torch.int64)).any()
+
+
+def test_own_error_is_the_models_errors_by_step_and_in_the_order_of_its_parts(images: Tensor) -> None:
+    actions = torch.arange(6).view(3, 2)
+    own = OwnError(Known())
+    found = own(images, actions).numpy()
+    assert own.parts == ("action", "change")
+    np.testing.assert_array_equal(found[..., 0], actions.numpy())
+    corner = images[:, :, 0, 0, 0].numpy().astype(np.float64)
+    np.testing.assert_array_equal(found[..., 1], corner[1:] - corner[:-1])
+
+
+def test_a_world_is_measured_without_shifts(images: Tensor) -> None:
+    play = Transitions(images[:, 0], torch.zeros(4, dtype=torch.int64), images[:, 1])
+    assert Known().world_loss(play, torch.Generator()) == 0
+
+
+def test_the_reward_scale_is_the_deviation_of_the_discounted_sum() -> None:
+    rng = np.random.default_rng(3)
+    rewards = rng.exponential(size=(50, 2))
+    sums, every = np.zeros(2), []
+    for now in rewards:
+        sums = 0.9 * sums + now
+        every.extend(sums)
+    scale = RewardScale(2, gamma=0.9)
+    scale.normalise(rewards[:20])
+    np.testing.assert_allclose(scale.normalise(rewards[20:]), rewards[20:] / np.std(every), rtol=1e-6)
