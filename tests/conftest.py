@@ -33,7 +33,7 @@ def write_log(folder: Path, recipe: LogRecipe) -> dict[str, Any]:
 
     rng = np.random.default_rng(recipe.seed)
     puzzles = tuple(sample_puzzle("sandbox", rng) for _ in range(3))
-    config = {"curriculum": {"threshold": recipe.threshold}, "seed": recipe.seed}
+    config = {"curriculum": {"rule": "loss", "threshold": recipe.threshold}, "seed": recipe.seed}
 
     def picture() -> np.ndarray:
         return rng.integers(0, 256, (84, 84, 3), dtype=np.uint8)

@@ -1,6 +1,6 @@
 """Logs become a release: `build_release(config, logs, out)`.
 
-Segments are read one at a time, train's first, so that each split is a range of episodes as LeRobot has it.
+Logs are read an episode at a time, train's first, so that each split is a range of episodes as LeRobot has it.
 """
 
 import shutil
@@ -13,7 +13,7 @@ from gym_open import artefacts, progress
 from gym_open.datasets.card import card
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.datasets.features import Features, features
-from gym_open.datasets.frames import Piece, encode_pngs, numbers, pieces
+from gym_open.datasets.frames import LENGTH_CAP, encode_pngs, numbers
 from gym_open.datasets.lerobot_files import DataFiles, write_episodes, write_info, write_stats, write_tasks
 from gym_open.datasets.splits import Split, held_out, split_of
 from gym_open.datasets.statistics import Moments, PictureMoments
@@ -43,7 +43,7 @@ def build_release(config: ReleaseConfig, logs: Path, out: Path) -> artefacts.Out
         ArtefactError: if a log is missing, damaged, empty, or not of free play in the sandbox (naming the file); no
             release is left behind.
     """
-    from gym_open.formats.log_reader import log_files, open_log
+    from gym_open.formats.log_reader import open_logs
 
     def work(folder: Path) -> Mapping[str, Any]:
         if (kind := artefacts.lineage(logs).kind) != "log":
@@ -53,7 +53,7 @@ def build_release(config: ReleaseConfig, logs: Path, out: Path) -> artefacts.Out
         for item in folder.iterdir():  # what an interrupted build left: begin again
             if item.name != artefacts.SCRATCH:
                 shutil.rmtree(item) if item.is_dir() else item.unlink()
-        return write_release(config, [_task_free(open_log(path)) for path in log_files(logs)], folder)
+        return write_release(config, [_task_free(log) for log in open_logs(logs)], folder)
 
     return artefacts.build(out, kind="release", config=config, parents=[logs], work=work)
 
@@ -79,7 +79,8 @@ def write_release(config: ReleaseConfig, logs: "Sequence[Log]", folder: Path) ->
         for split in SPLITS:
             for segment in _segments(config, logs, val, split):
                 writer = writer or _Writer(folder, config, features(segment.object_names), pool)
-                writer.add(segment, split, bar)
+                writer.add(segment, split)
+                bar.advance(len(segment.actions))
         if writer is None:
             places = ", ".join(str(log.path) for log in logs) or "no log file"
             raise ArtefactError(f"{places}: no segment to make a release of; collect some steps first")
@@ -98,11 +99,12 @@ def write_release(config: ReleaseConfig, logs: "Sequence[Log]", folder: Path) ->
 
 
 def _segments(config: ReleaseConfig, logs: "Sequence[Log]", val: frozenset[str], split: Split) -> "Iterator[Segment]":
+    """Segments of a split, in pieces of an episode's length."""
     for log in logs:
         visited = [log.puzzles[switch.to_world].digest for switch in log.switches if switch.to_world >= 0]
         if all(split_of(config, log.stream, puzzle, val) != split for puzzle in visited):
             continue  # spares reading the whole log again
-        for segment in log.segments():
+        for segment in log.segments(config.max_episode_steps):
             if split_of(config, log.stream, segment.puzzle.digest, val) == split:
                 yield segment
 
@@ -121,22 +123,19 @@ class _Writer:
         self._pictures = PictureMoments()
         self._frames = 0
 
-    def add(self, segment: "Segment", split: Split, bar: progress.Bar) -> None:
-        """Add a segment as one episode or, over the cap, several."""
+    def add(self, segment: "Segment", split: Split) -> None:
+        """Add a segment, or the next piece of one, as an episode."""
         self.objects = self.objects or segment.object_names
         if segment.object_names != self.objects:
             raise ArtefactError(
                 f"stream {segment.stream}, segment {segment.index}: objects {segment.object_names}, other segments "
                 f"have {self.objects}; logs of different models do not go into one release"
             )
-        self.segments.append(segment_row(segment))
-        for piece in pieces(segment, self._config.max_episode_steps):
-            self._add_piece(piece, split)
-            bar.advance(piece.steps)
-
-    def _add_piece(self, piece: Piece, split: Split) -> None:
-        segment, images = piece.segment, piece.images
-        values = numbers(piece, episode=len(self.episodes), start=self._frames)
+        if segment.segment_step == 0:
+            self.segments.append(segment_row(segment))
+        steps, images = len(segment.actions), segment.images
+        self.segments[-1].update(steps=segment.segment_step + steps, ended=segment.ended)
+        values = numbers(segment, episode=len(self.episodes), start=self._frames)
         for name, moments in self._moments.items():
             moments.update(values[name])
         self._pictures.update(images)
@@ -151,13 +150,13 @@ class _Writer:
                 "data/file_index": file,
                 "stream": segment.stream,
                 "segment": segment.index,
-                "piece": piece.number,
+                "piece": segment.segment_step // self._config.max_episode_steps,
                 "world": segment.world,
                 "puzzle": segment.puzzle.digest,
-                "first_step": segment.first_step + piece.first,
-                "steps": piece.steps,
-                "continued": piece.continued,
-                "ended": piece.ended,
+                "first_step": segment.first_step,
+                "steps": steps,
+                "continued": segment.continued or segment.segment_step > 0,
+                "ended": segment.ended or LENGTH_CAP,
                 "split": split,
             }
         )

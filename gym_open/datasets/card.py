@@ -61,7 +61,8 @@ from.
 - `next.reward` is the extrinsic reward, which is always 0. `reward.intrinsic` is the explorer's own.
 - Splits go by {split_by}, never by step: neighbouring frames are near copies. Draw validation data from `val` only.
 - `world_model.loss` is the explorer's own at that moment of its learning: later it would be another for the same frame.
-- Statistics (`meta/stats.json`) are over all frames, the last ones of episodes included.
+  It is NaN throughout if the explorer had no world model.
+- Statistics (`meta/stats.json`) are over all finite values, the last frames of episodes included.
 """
 
 

@@ -1,18 +1,16 @@
-"""A log's segment as the frames of LeRobot episodes.
+"""A segment of a log, or a piece of one, as the frames of a LeRobot episode.
 
     observation   o_0   o_1   …   o_T-1   o_T
     action        a_0   a_1   …   a_T-1    –      T actions, T + 1 frames
     valid          ✓     ✓    …    ✓       ✗      the last frame carries the final observation alone
     truncated      –     –    …    ✓       ✓      nothing comes after it in this episode
 
-A segment longer than the cap is cut into pieces; the observation at a cut ends one piece and begins the next.
+Of a segment longer than the cap, each piece is an episode; the observation at a cut ends one and begins the next.
 """
 
-from collections.abc import Iterator
 from concurrent.futures import Executor
 from typing import TYPE_CHECKING
 
-import msgspec
 import numpy as np
 
 from gym_open.datasets.features import fps
@@ -30,67 +28,29 @@ _SPAN = 32
 """Pictures that a thread codes at a time."""
 
 
-class Piece(msgspec.Struct, frozen=True, eq=False):
-    """Steps `first` to `stop` of a segment: one episode."""
-
-    segment: "Segment"
-    number: int
-    first: int
-    stop: int
-
-    @property
-    def steps(self) -> int:
-        """Number of actions; there is one frame more."""
-        return self.stop - self.first
-
-    @property
-    def ended(self) -> str:
-        """Why the episode ends: the segment's reason, or `length_cap`."""
-        return self.segment.ended if self.stop == len(self.segment.actions) else LENGTH_CAP
-
-    @property
-    def continued(self) -> bool:
-        """Whether an earlier episode ended in the state that this one begins with."""
-        return self.segment.continued or self.number > 0
-
-    @property
-    def images(self) -> np.ndarray:
-        """(steps + 1, 84, 84, 3) uint8."""
-        return self.segment.images[self.first : self.stop + 1]
-
-
-def pieces(segment: "Segment", cap: int) -> Iterator[Piece]:
-    """Cut a segment into episodes of at most `cap` steps; one without any action is one episode of one frame."""
-    total = len(segment.actions)
-    for number, first in enumerate(range(0, max(total, 1), cap)):
-        yield Piece(segment, number, first, min(first + cap, total))
-
-
-def numbers(piece: Piece, *, episode: int, start: int) -> dict[str, np.ndarray]:
+def numbers(segment: "Segment", *, episode: int, start: int) -> dict[str, np.ndarray]:
     """Every feature but the picture, steps + 1 rows each, by the names of `features.features`.
 
     Args:
-        piece: what becomes an episode.
+        segment: what becomes an episode.
         episode: its number in the release.
         start: number of its first frame in the release.
     """
-    segment, steps = piece.segment, piece.steps
-    span = slice(piece.first, piece.stop)
-    state = segment.object_state[piece.first : piece.stop + 1].astype(np.float32)
-    contacts = segment.contacts[span]
+    steps, contacts = len(segment.actions), segment.contacts
+    state = segment.object_state.astype(np.float32)
     agent = segment.object_names.index("agent")
     row = np.arange(steps + 1)
     one_hot = np.zeros((steps + 1, N_ACTIONS), dtype=np.float32)
-    one_hot[row[:-1], segment.actions[span]] = 1
+    one_hot[row[:-1], segment.actions] = 1
     return {
         "observation.state": state[:, agent],
         "observation.environment_state": state.reshape(steps + 1, -1),
         "action": one_hot,
-        "action.index": _padded(segment.actions[span], np.int64, NO_ACTION),
-        "reward.intrinsic": _padded(segment.intrinsic_reward[span], np.float32),
-        "world_model.loss": _padded(segment.world_model_loss[span], np.float32),
-        "policy.entropy": _padded(segment.policy_entropy[span], np.float32),
-        "policy.value": _padded(segment.value[span], np.float32),
+        "action.index": _padded(segment.actions, np.int64, NO_ACTION),
+        "reward.intrinsic": _padded(segment.intrinsic_reward, np.float32),
+        "world_model.loss": _padded(segment.world_model_loss, np.float32, _nothing(segment.world_model_loss)),
+        "policy.entropy": _padded(segment.policy_entropy, np.float32),
+        "policy.value": _padded(segment.value, np.float32),
         "contact.count": _padded(np.array([len(step) for step in contacts]), np.int64),
         "contact.agent": _padded(np.array([sum("agent" in (c.a, c.b) for c in step) for step in contacts]), np.int64),
         "contact.impulse": _padded(np.array([sum(c.impulse for c in step) for step in contacts]), np.float32),
@@ -108,6 +68,11 @@ def numbers(piece: Piece, *, episode: int, start: int) -> dict[str, np.ndarray]:
 
 def _padded(values: np.ndarray, dtype: type, fill: float = 0) -> np.ndarray:
     return np.append(values.astype(dtype), np.asarray(fill, dtype=dtype))
+
+
+def _nothing(losses: np.ndarray) -> float:
+    """What stands where there was no action: 0, or of an explorer without a model, what stands everywhere."""
+    return float("nan") if np.isnan(losses).all() and losses.size else 0.0
 
 
 def encode_pngs(images: np.ndarray, pool: Executor) -> list[bytes]:

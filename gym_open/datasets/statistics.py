@@ -13,7 +13,6 @@ class Moments:
     """
 
     def __init__(self, width: int) -> None:
-        self._frames = 0
         self._count = np.zeros(width)
         self._mean = np.zeros(width)
         self._m2 = np.zeros(width)
@@ -34,17 +33,19 @@ class Moments:
         self._count += count
         self._low = np.minimum(self._low, np.where(good, values, np.inf).min(axis=0))
         self._high = np.maximum(self._high, np.where(good, values, -np.inf).max(axis=0))
-        self._frames += len(batch)
 
     def result(self) -> dict[str, Any]:
-        """LeRobot's entry: min, max, mean, std (population), and count of frames; 0 where nothing was finite."""
+        """LeRobot's entry: min, max, mean, std (population), and count of finite frames; 0 where nothing was finite.
+
+        LeRobot has one count a feature: of a vector whose numbers are not all finite in the same frames, the greatest.
+        """
         empty = self._count == 0
         return {
             "min": np.where(empty, 0, self._low).tolist(),
             "max": np.where(empty, 0, self._high).tolist(),
             "mean": self._mean.tolist(),
             "std": np.sqrt(self._m2 / np.maximum(self._count, 1)).tolist(),
-            "count": [self._frames],
+            "count": [int(self._count.max())],
         }
 
 

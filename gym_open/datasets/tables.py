@@ -67,7 +67,7 @@ def _world_rows(config: ReleaseConfig, log: "Log", val: frozenset[str]) -> list[
 
 
 def segment_row(segment: "Segment") -> dict[str, Any]:
-    """What a replay needs to know of a segment, the state it begins with included."""
+    """What a replay needs to know of a segment that begins here, the state it begins with included."""
     return {
         "stream": segment.stream,
         "segment": segment.index,

@@ -85,12 +85,12 @@ def _table(title: str, columns: Sequence[str]) -> Table:
 
 def _by_stream(streams: Sequence[list[Window]], tolerance: float) -> Table:
     title = f"windows by verdict (tolerance {tolerance:g}); worst object, steps and pixels that differ"
-    columns = ("stream", "steps", "windows", "identical", "within", "diverged", "off by", "contacts", "pixels")
+    columns = ("stream", "steps", "identical", "within", "diverged", "off by", "contacts", "pixels")
     table = _table(title, columns)
     for windows in filter(None, streams):
         counts = [sum(window.verdict == verdict for window in windows) for verdict in _VERDICTS]
         table.add_row(
-            str(windows[0].stream), f"{sum(window.steps for window in windows):,}", f"{len(windows):,}",
+            str(windows[0].stream), f"{sum(window.steps for window in windows):,}",
             *(f"{count:,}" for count in counts), f"{max(map(_error, windows)):.2g}",
             f"{sum(window.contact_steps for window in windows):,}", f"{sum(window.pixels for window in windows):,}",
         )  # fmt: skip
@@ -98,13 +98,13 @@ def _by_stream(streams: Sequence[list[Window]], tolerance: float) -> Table:
 
 
 def _by_window(windows: Sequence[Window]) -> Table:
-    title = f"windows that are not identical ({min(len(windows), SHOWN)} of {len(windows)}); steps are the stream's"
-    columns = ("stream", "segment", "from", "differs", "diverges", "worst", "off by", "contacts", "pixels")
+    title = f"windows that are not identical ({min(len(windows), SHOWN)} of {len(windows)}), from which step on"
+    columns = ("segment", "differs", "diverges", "worst", "off by", "contacts", "pixels")
     table = _table(title, columns)
     for window in windows[:SHOWN]:
         worst = max(window.state_error, key=window.state_error.__getitem__, default="–")
         table.add_row(
-            str(window.stream), str(window.segment), f"{window.first_step:,}", f"{window.first_different:,}",
+            f"{window.stream}/{window.segment}", f"{window.first_different:,}",
             "–" if window.first_diverged is None else f"{window.first_diverged:,}", worst, f"{_error(window):.2g}",
             f"{window.contact_steps:,}", f"{window.pixels:,}",
         )  # fmt: skip

@@ -62,15 +62,17 @@ def draw_run_figure(log: Path, others: Sequence[Path], save: Path) -> Path:
 def _exploration(axes: "Axes", log: Path) -> None:
     from matplotlib.ticker import LogFormatter
 
-    summary, config = _read(log / "summary.json"), artefacts.config_of(log)
+    summary, curriculum = _read(log / "summary.json"), artefacts.config_of(log)["curriculum"]
     curve = _columns(summary["curve"])
-    unit = "loss (nats of InfoNCE)" if "curl" in config.get("explorer", "") else "loss"
-    axes.set(title="Exploration in the sandbox, no reward", xlabel="steps of all streams", ylabel=unit)
-    if len(curve["step"]):
-        axes.plot(curve["step"], curve["world_model_loss"], color=LOSS, label="world model's loss in training")
-        axes.plot(curve["step"], curve["world_loss"], color=MEASURED, linewidth=1.8, label="of the worlds in play")
-    if config["threshold"] > 0:
-        axes.axhline(config["threshold"], color=THRESHOLD, linestyle="--", label="threshold: world learned")
+    axes.set(title="Exploration in the sandbox, no reward", xlabel="steps of all streams", ylabel="loss, scaled")
+    for name, style in {
+        "world_model_loss": {"color": LOSS, "label": "world model's loss in training"},
+        "world_loss": {"color": MEASURED, "linewidth": 1.8, "label": "of the worlds in play"},
+    }.items():
+        if np.isfinite(curve[name]).any():  # there is none without a world model
+            axes.plot(curve["step"], curve[name], **style)
+    if curriculum["rule"] == "loss" and curriculum["threshold"] > 0:
+        axes.axhline(curriculum["threshold"], color=THRESHOLD, linestyle="--", label="threshold: world learned")
     if at := _switch_steps(summary["segments"]):
         label = f"switch of world ({len(at)})"
         floor = axes.get_xaxis_transform()
@@ -81,14 +83,14 @@ def _exploration(axes: "Axes", log: Path) -> None:
 
 
 def _switch_steps(segments: list[dict[str, Any]]) -> list[int]:
-    """When each stream left a world that it had learned, in steps of all streams, which move at one pace."""
+    """When each stream went from one world to another, in steps of all streams, which move at one pace."""
     streams = {item["stream"] for item in segments}
     found = []
     for stream in streams:
         step = 0
         for item in sorted((item for item in segments if item["stream"] == stream), key=lambda item: item["segment"]):
             step += item["steps"]
-            if item["ended"] == "learned":
+            if item["ended"] not in {"budget", "exhausted"}:
                 found.append(step * len(streams))
     return sorted(found)
 

@@ -8,13 +8,17 @@ import msgspec
 import numpy as np
 
 from gym_open.envs.puzzles import Puzzle
-from gym_open.formats.logs import Log, Segment, Switch, log_files, open_log
+from gym_open.formats.log_reader import Log, open_log, open_logs
+from gym_open.formats.log_schemas import Segment, Switch
 from gym_open.formats.pictures import encode_png
 from gym_open.formats.releases import Release, open_release
 
 SERIES: tuple[str, ...] = ("intrinsic_reward", "world_model_loss", "entropy", "value", "contacts", "action")
 """Numbers a step, by the names they have in a recording."""
 _COLUMNS = ("reward.intrinsic", "world_model.loss", "policy.entropy", "policy.value", "contact.count", "action.index")
+
+_PIECE = 1000
+"""Steps of a log that are in memory at a time."""
 
 
 class Span(msgspec.Struct, frozen=True, eq=False):
@@ -59,7 +63,7 @@ def streams_of_log(source: Path) -> list[Stream]:
     Raises:
         ArtefactError: if there is no log, or one is damaged.
     """
-    logs = [open_log(path) for path in ([source] if source.is_file() else log_files(source))]
+    logs = [open_log(source)] if source.is_file() else open_logs(source)
     return [
         Stream(log.stream, log.n_steps, _threshold(log.config), log.switches, lambda log=log: _spans_of_log(log))
         for log in logs
@@ -67,7 +71,7 @@ def streams_of_log(source: Path) -> list[Stream]:
 
 
 def _spans_of_log(log: Log) -> Iterator[Span]:
-    for item in log.segments():
+    for item in log.segments(_PIECE):
         values = (
             item.intrinsic_reward,
             item.world_model_loss,
@@ -129,5 +133,6 @@ def _release_spans(release: Release, number: int) -> Callable[[], Iterator[Span]
 
 
 def _threshold(config: dict[str, Any]) -> float | None:
-    found = config.get("threshold")
-    return float(found) if isinstance(found, int | float) else None
+    """Of a curriculum whose rule looks at it."""
+    curriculum = config.get("curriculum", {})
+    return float(curriculum["threshold"]) if curriculum.get("rule") == "loss" else None

@@ -18,7 +18,8 @@ from gym_open.datasets import Release, open_release
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.errors import ArtefactError
-from gym_open.formats.logs import Segment, log_files, open_log
+from gym_open.formats.log_reader import log_files, open_logs
+from gym_open.formats.log_schemas import Segment
 
 MakeLog = Callable[..., Path]
 CONFIG = ReleaseConfig(max_episode_steps=5, val_fraction=0.34)
@@ -35,7 +36,7 @@ def release(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Release:
 
 
 def segments(log: Path) -> dict[tuple[int, int], Segment]:
-    return {(item.stream, item.index): item for path in log_files(log) for item in open_log(path).segments()}
+    return {(item.stream, item.index): item for one in open_logs(log) for item in one.segments()}
 
 
 def episodes(release: Release) -> list[dict[str, Any]]:
@@ -83,6 +84,7 @@ def test_episodes_say_how_they_begin_and_end(log: Path, release: Release) -> Non
         assert [row["ended"] for row in rows] == ["length_cap"] * (len(rows) - 1) + [segment.ended]
         assert [row["continued"] for row in rows] == [segment.continued] + [True] * (len(rows) - 1)
         assert {row["puzzle"] for row in rows} == {segment.puzzle.digest}
+        assert segment.integration_state is not None
         assert np.array_equal(states[key], segment.integration_state)
 
 
@@ -211,11 +213,11 @@ def test_data_files_roll_at_a_size(make_log: MakeLog, tmp_path: Path) -> None:
 
 def test_a_cut_log_leaves_no_release(make_log: MakeLog, tmp_path: Path) -> None:
     log = make_log(lengths=((4, 3),), seed=3)
-    file = log_files(log)[0]
+    ((file,),) = log_files(log)
     data = file.read_bytes()
     for at in np.random.default_rng(0).integers(0, len(data), size=10):
         file.write_bytes(data[:at])
-        with pytest.raises(ArtefactError, match=r"stream-000\.mcap"):
+        with pytest.raises(ArtefactError, match=r"stream-000-000\.mcap"):
             build_release(CONFIG, log, tmp_path / "release")
         assert list(tmp_path.iterdir()) == []
 

@@ -1,15 +1,16 @@
-"""Alignment: T actions, T + 1 frames, whatever the length and the cap."""
+"""Alignment: T actions, T + 1 frames, whatever the length."""
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from gym_open.datasets.features import features
-from gym_open.datasets.frames import numbers, pieces
+from gym_open.datasets.frames import numbers
 from gym_open.datasets.statistics import Moments, PictureMoments
 from gym_open.envs.puzzles.generators import sample_puzzle
-from gym_open.formats.logs import Segment
+from gym_open.formats.log_schemas import Segment
 from gym_open.formats.pictures import decode_png, encode_png
 
 NAMES = ("agent", "yellow_0")
@@ -20,8 +21,8 @@ def segment(steps: int) -> Segment:
     """Every figure tells its own step, so that a shift by one shows."""
     row = np.arange(steps, dtype=np.float64)
     return Segment(
-        stream=0, index=0, world=0, puzzle=PUZZLE, continued=False, first_step=100, object_names=NAMES,
-        integration_state=np.zeros(3),
+        stream=0, index=0, world=0, puzzle=PUZZLE, continued=False, first_step=100, segment_step=0, object_names=NAMES,
+        integration_state=np.zeros(3), keyframes=[], depth=None, segmentation=None, reward_parts={},
         images=np.broadcast_to(np.arange(steps + 1, dtype=np.uint8)[:, None, None, None], (steps + 1, 84, 84, 3)),
         actions=np.arange(steps) % 9, contacts=[()] * steps,
         object_state=np.broadcast_to(np.arange(steps + 1.0)[:, None, None], (steps + 1, 2, 13)),
@@ -29,30 +30,27 @@ def segment(steps: int) -> Segment:
     )  # fmt: skip
 
 
-@given(steps=st.integers(0, 60), cap=st.integers(1, 25))
-def test_alignment(steps: int, cap: int) -> None:
-    cut = list(pieces(segment(steps), cap))
-    assert sum(piece.steps for piece in cut) == steps
-    assert len(cut) == max(1, -(-steps // cap))
-    at = 0
-    for piece in cut:
-        values = numbers(piece, episode=7, start=1000)
-        assert {len(column) for column in values.values()} == {piece.steps + 1} == {len(piece.images)}
-        observed = np.arange(at, at + piece.steps + 1)
-        assert np.array_equal(piece.images[:, 0, 0, 0], observed)  # the last picture is the next piece's first
-        assert np.array_equal(values["observation.state"][:, 0], observed)
-        assert values["reward.intrinsic"].tolist() == [*range(at, at + piece.steps), 0]
-        assert values["action.index"].tolist() == [*(i % 9 for i in range(at, at + piece.steps)), -1]
-        assert values["transition.valid"].sum() == piece.steps
-        assert values["index"].tolist() == list(range(1000, 1000 + piece.steps + 1))
-        at += piece.steps
-    assert [piece.ended for piece in cut] == ["length_cap"] * (len(cut) - 1) + ["budget"]
+@given(steps=st.integers(0, 60))
+def test_alignment(steps: int) -> None:
+    values = numbers(segment(steps), episode=7, start=1000)
+    assert {len(column) for column in values.values()} == {steps + 1}
+    assert values["observation.state"][:, 0].tolist() == list(range(steps + 1))
+    assert values["reward.intrinsic"].tolist() == [*range(steps), 0]
+    assert values["world_model.loss"].tolist() == [*range(steps), 0]
+    assert values["action.index"].tolist() == [*(i % 9 for i in range(steps)), -1]
+    assert values["transition.valid"].sum() == steps
+    assert values["index"].tolist() == list(range(1000, 1000 + steps + 1))
+
+
+def test_without_a_world_model_there_is_no_loss_anywhere() -> None:
+    """The frame without an action has none either: statistics would take a 0 for a loss."""
+    nothing = msgspec.structs.replace(segment(3), world_model_loss=np.full(3, np.nan))
+    assert np.isnan(numbers(nothing, episode=0, start=0)["world_model.loss"]).tolist() == [True] * 4
 
 
 def test_every_feature_has_its_shape() -> None:
-    piece = next(pieces(segment(4), 10))
     described = features(NAMES)
-    values = numbers(piece, episode=0, start=0)
+    values = numbers(segment(4), episode=0, start=0)
     assert {"observation.image", *values} == set(described)
     for name, column in values.items():
         shape = [] if described[name]["shape"] == [1] else described[name]["shape"]
@@ -87,6 +85,9 @@ def test_moments_leave_out_what_is_not_finite() -> None:
     moments.update(np.array([[1.0, np.inf], [3.0, np.nan]]))
     entry = moments.result()
     assert (entry["mean"], entry["std"], entry["count"]) == ([2.0, 0.0], [1.0, 0.0], [2])
+    nothing = Moments(1)
+    nothing.update(np.full(3, np.nan))
+    assert nothing.result() == {"min": [0.0], "max": [0.0], "mean": [0.0], "std": [0.0], "count": [0]}
 
 
 @pytest.mark.parametrize("sizes", [(1,), (3, 2)])

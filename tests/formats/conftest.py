@@ -43,10 +43,9 @@ class MadeUp:
         made: list[Record] = [Switch(0, -1, PLAN[0][0], "start", [np.inf] * 3)]
         step = 0
         for index, (world, length, continued, reason) in enumerate(PLAN):
-            seen = _seen(rng, pictures)
+            seen, state = _seen(rng, pictures), rng.normal(size=(len(NAMES), 13))
             for i in range(length * steps):
                 if i % 2 == 0:
-                    state = rng.normal(size=(len(NAMES), 13))
                     start = SegmentStart(index, step - i, world, POOL[world], continued, NAMES, state,
                                          rng.normal(size=31), segment_step=i, **seen)  # fmt: skip
                     made.append(start)

@@ -16,21 +16,34 @@ from gym_open.errors import ArtefactError
 from gym_open.viz.curves import draw_run_figure
 
 
-class Threshold(Config, frozen=True):
+class Curriculum(Config, frozen=True):
     """As `collect` has it."""
 
+    rule: str = "loss"
     threshold: float = 1.0
 
 
+class Settings(Config, frozen=True):
+    """As `collect` has it."""
+
+    curriculum: Curriculum = Curriculum()
+
+
 def make(
-    folder: Path, kind: str, facts: Mapping[str, Any], files: Mapping[str, Any], parents: Sequence[Path] = ()
+    folder: Path,
+    kind: str,
+    facts: Mapping[str, Any],
+    files: Mapping[str, Any],
+    parents: Sequence[Path] = (),
+    *,
+    config: Settings | None = None,
 ) -> Path:
     def work(partial: Path) -> Mapping[str, Any]:
         for name, content in files.items():
             (partial / name).write_text(json.dumps(content))
         return facts
 
-    return artefacts.build(folder, kind=kind, config=Threshold(), parents=parents, work=work).path
+    return artefacts.build(folder, kind=kind, config=config or Settings(), parents=parents, work=work).path
 
 
 @pytest.fixture
@@ -105,6 +118,21 @@ def test_nothing_to_draw_is_said_not_raised(
 ) -> None:
     _, middle, right = drawn(monkeypatch, sources[0], [], tmp_path / "run.png").axes
     assert [axes.texts[0].get_text() for axes in (middle, right)] == ["no data", "no data"]
+
+
+def test_without_a_world_model_only_switches_are_drawn(
+    sources: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    columns = ["step", "world_model_loss", "world_loss", "intrinsic_reward", "policy_entropy"]
+    stay = {"stream": 0, "world": 0, "loss_at_entry": None, "loss_at_exit": None}
+    segments = [{**stay, "segment": i, "steps": 64, "ended": ended} for i, ended in enumerate(("interval", "budget"))]
+    curve = {"columns": columns, "rows": [[64, None, None, 0.0, 2.2], [128, None, None, 0.0, 2.2]]}
+    config = Settings(curriculum=Curriculum(rule="interval"))
+    files = {"summary.json": {"curve": curve, "segments": segments}}
+    log = make(tmp_path / "random", "log", {"task": "sandbox"}, files, config=config)
+    left, *_ = drawn(monkeypatch, log, [], tmp_path / "run.png").axes
+    assert [str(line.get_label()) for line in left.lines] == ["switch of world (1)"]
+    assert left.lines[0].get_xdata()[0] == 64  # type: ignore[index]
 
 
 def test_a_missing_summary_is_named(sources: list[Path], tmp_path: Path) -> None:

@@ -16,7 +16,8 @@ from gym_open.config import Config
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.errors import ArtefactError, UsageError
-from gym_open.formats.logs import Segment, log_files, open_log
+from gym_open.formats.log_reader import log_files, open_logs
+from gym_open.formats.log_schemas import Segment
 from gym_open.formats.pictures import decode_png
 from gym_open.viz.config import VizConfig
 from gym_open.viz.recording import visualize
@@ -64,7 +65,7 @@ def log(make_log: MakeLog) -> Path:
 
 @pytest.fixture(scope="module")
 def segments(log: Path) -> list[Segment]:
-    return list(open_log(log_files(log)[0]).segments())
+    return list(open_logs(log)[0].segments())
 
 
 @pytest.fixture(scope="module", params=["log", "file", "release"])
@@ -72,7 +73,7 @@ def recording(request: pytest.FixtureRequest, log: Path, tmp_path_factory: pytes
     folder = tmp_path_factory.mktemp("rrd")
     source = {
         "log": lambda: log,
-        "file": lambda: log_files(log)[0],
+        "file": lambda: log_files(log)[0][0],
         "release": lambda: build_release(ReleaseConfig(max_episode_steps=5), log, folder / "release").path,
     }[request.param]()
     return Recording(visualize(VizConfig(), source, folder / "play.rrd"))
@@ -159,7 +160,7 @@ def test_trail_and_moves_follow_the_agent(recording: Recording, segments: list[S
 
 
 def test_switches_and_threshold(recording: Recording, log: Path) -> None:
-    switches = open_log(log_files(log)[0]).switches
+    switches = open_logs(log)[0].switches
     steps, worlds = recording.column("/stream_0/switches", "Scalars:scalars")
     assert steps == [switch.step for switch in switches]
     assert np.ravel(worlds).tolist() == [switch.to_world for switch in switches]
@@ -234,10 +235,10 @@ def test_what_cannot_be_drawn_is_refused_and_leaves_nothing(make_log: MakeLog, t
     with pytest.raises(ArtefactError, match="not readable"):
         visualize(VizConfig(), broken, out / "play.rrd")
     cut = make_log(lengths=((9,),))
-    file = log_files(cut)[0]
+    ((file,),) = log_files(cut)
     file.write_bytes(file.read_bytes()[:-100])
-    with pytest.raises(ArtefactError, match=r"stream-000\.mcap"):
+    with pytest.raises(ArtefactError, match=r"stream-000-000\.mcap"):
         visualize(VizConfig(), cut, out / "play.rrd")
-    with pytest.raises(ArtefactError, match=r"stream-000\.mcap"):
+    with pytest.raises(ArtefactError, match=r"stream-000-000\.mcap"):
         visualize(VizConfig(), file, out / "play.rrd")
     assert not out.exists()
