@@ -54,10 +54,14 @@ def optimizer_tensors(optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:
 
 def load_optimizer(optimizer: torch.optim.Optimizer, tensors: dict[str, Tensor]) -> None:
     """Restore Adam's state from what `optimizer_tensors` gave; learning rates stay as they are."""
+    weights = [weight for group in optimizer.param_groups for weight in group["params"]]
     state: dict[int, dict[str, Tensor]] = {}
     for name, value in tensors.items():
         index, field = name.split(".", 1)
-        state.setdefault(int(index), {})[field] = value
+        weight = weights[int(index)]
+        # A fused step takes weight and moments as they lie in memory, so they must lie alike; files are row by row.
+        own = torch.empty_like(weight, requires_grad=False).copy_(value) if value.shape == weight.shape else value
+        state.setdefault(int(index), {})[field] = own
     optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
 
 
