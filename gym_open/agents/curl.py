@@ -1,4 +1,13 @@
-"""CURL: a world model that tells pictures apart (Srinivas et al. 2020; `MishaLaskin/curl`)."""
+"""CURL: a world model that tells pictures apart (Srinivas et al. 2020).
+
+    loss = −log softmax_k(q_iᵀ W k_k)[i],     q and k: projections of two random shifts of one picture
+
+Departures from `MishaLaskin/curl`, each with its reason:
+
+- Random shift in place of random crop: the picture is 84×84 already, and the policy sees all of it.
+- The encoder is OPEn's three-layer one, which the policy uses, and the query's shift the policy's: one pass serves both.
+- Own error as a reward, which CURL has none of: InfoNCE of the picture a step led to, among those of its rollout.
+"""
 
 import copy
 

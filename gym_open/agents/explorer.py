@@ -268,7 +268,7 @@ class _Batch:
         return Transitions(self.obs, self.actions, self.next_obs)
 
     def take(self, chosen: Tensor) -> "_Batch":
-        return _Batch(**{name: values[chosen] for name, values in vars(self).items()})
+        return _Batch(**{name: values.index_select(0, chosen) for name, values in vars(self).items()})
 
 
 def _generator(seed: int, name: str) -> torch.Generator:

@@ -137,7 +137,7 @@ def ppo_update(
         for mb_inds in torch.randperm(len(b_obs), generator=generator).split(config.minibatch_size):
             with autocast(config.precision):
                 shifts = draw_shifts(len(mb_inds), config.shift_pad, generator)
-                prepared = agent.encoder.prepare_shifted(b_obs[mb_inds], shifts)
+                prepared = agent.encoder.prepare_shifted(b_obs.index_select(0, mb_inds), shifts)
                 _, newlogprob, entropy, newvalue = agent.get_action_and_value(prepared, b_actions[mb_inds])
             logratio = newlogprob - b_logprobs[mb_inds]
             mb_advantages = b_advantages[mb_inds]

@@ -74,7 +74,7 @@ def played(random_play: RandomPlay, n_worlds: int, n_train: int, n_held_out: int
 
 @pytest.mark.parametrize(("name", "share"), [("icm", 0.95), ("rnd", 0.6), ("curl", 0.6)])
 def test_a_few_updates_help_with_steps_never_seen(name: WorldModelName, share: float, random_play: RandomPlay) -> None:
-    _, left = learned(name, *played(random_play, 2, 256, 64), 40)
+    _, left = learned(name, *played(random_play, 2, 256, 64), 30)
     assert left < share
 
 
