@@ -5,7 +5,7 @@
 Departures from `MishaLaskin/curl`, each with its reason:
 
 - Random shift in place of random crop: the picture is 84×84 already, and the policy sees all of it.
-- The encoder is OPEn's three-layer one, which the policy uses, and the query's shift is the policy's: one pass for both.
+- The encoder is OPEn's three-layer one and the query's shift the policy's: one pass through it serves both.
 - Own error as a reward, which CURL has none of: InfoNCE of the picture a step led to, among those of its rollout.
 """
 
