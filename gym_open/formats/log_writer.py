@@ -36,7 +36,7 @@ class LogWriter:
 
     Raises:
         LogError: from any method, if the disk is full or what is logged is not what had been logged before a kill.
-        ValueError: if the pictures of an earlier record were not as they should be.
+        ValueError: if a step has another number of reward parts than the head, or an earlier picture another shape.
     """
 
     def __init__(
@@ -44,6 +44,7 @@ class LogWriter:
     ) -> None:
         """With `begun`, go on with files that were begun before: see `log_resume`."""
         self._files = begun or LogFiles(folder, head, roll_bytes)
+        self._reward_parts = head.reward_parts
         self._records: list[Record] = []
         self._error: BaseException | None = None
         self._queue: Queue[_Batch | None] = Queue(QUEUE)
@@ -61,6 +62,12 @@ class LogWriter:
 
     def step(self, record: StepRecord) -> None:
         """Log an action at its beginning and the observation at its end."""
+        if len(record.reward_parts) != len(self._reward_parts):
+            names = ", ".join(self._reward_parts)
+            raise ValueError(
+                f"step {record.step}: expected {len(self._reward_parts)} reward parts ({names}), got "
+                f"{len(record.reward_parts)}"
+            )
         self._put(record)
 
     def switch(self, switch: Switch) -> None:
@@ -82,7 +89,9 @@ class LogWriter:
         self._check()
 
     def close(self) -> None:
-        """Wait for the rest and write the index; the log is whole after this."""
+        """Wait for the rest and write the index; the log is whole after this. Closed again, nothing happens."""
+        if not self._thread.is_alive():
+            return
         try:
             self.sync()
             self._stop()
