@@ -33,6 +33,7 @@ from gym_open.formats.logs import LogHead, LogWriter, Switch
 from gym_open.formats.models import save_encoder
 
 IMAGE_SHAPE = (IMAGE_SIZE, IMAGE_SIZE, 3)
+MIB = 2**20
 
 
 def collect(config: CollectConfig, out: Path) -> artefacts.Outcome:
@@ -52,10 +53,10 @@ def collect(config: CollectConfig, out: Path) -> artefacts.Outcome:
     if config.streams > config.steps:
         raise ConfigError(f"key `steps`: at least one a stream, got {config.steps} for {config.streams} streams")
     if RULES[config.curriculum.rule].needs_losses and config.explorer.world_model == "none":
-        others = " or ".join(f'"{name}"' for name, rule in RULES.items() if not rule.needs_losses)
+        others = ", ".join(name for name, rule in RULES.items() if not rule.needs_losses)
         raise ConfigError(
-            f'key `curriculum.rule`: "{config.curriculum.rule}" looks at the loss of a world model, and '
-            f'`explorer.world_model` is "none"; give {others}, or a world model'
+            f"key `curriculum.rule`: {config.curriculum.rule} looks at the loss of a world model, and "
+            f"`explorer.world_model` is none; give one of {others}, or a world model"
         )
     return artefacts.build(out, kind="log", config=config, parents=[], work=lambda folder: _work(config, folder))
 
@@ -105,7 +106,7 @@ class Exploration:
             stream, to_dict(self.config), self.pool.puzzles, provenance, model_xml(),
             reward_parts=self.explorer.reward_parts, keyframe_every=self.config.log.keyframe_every,
         )  # fmt: skip
-        roll_bytes = self.config.log.roll_mb * 2**20
+        roll_bytes = self.config.log.roll_mb * MIB
         return resume_writer(self.folder, self.folder / artefacts.SCRATCH, head, messages, roll_bytes=roll_bytes)
 
     def _start(self) -> None:

@@ -70,26 +70,33 @@ def test_a_file_of_someone_else_is_refused(tmp_path: Path) -> None:
         load_checkpoint(tmp_path / "theirs.safetensors")
 
 
-def train(net: nn.Linear, optimizer: torch.optim.Optimizer, steps: int) -> None:
+def network() -> nn.Sequential:
+    """Its convolution's weights lie channel by channel in memory."""
+    layers = nn.Sequential(nn.Conv2d(3, 4, 2), nn.Flatten(), nn.Linear(4, 2))
+    return layers.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]  (missing in torch's stubs)
+
+
+def train(net: nn.Sequential, optimizer: torch.optim.Optimizer, steps: int) -> None:
     for _ in range(steps):
-        loss = (net(torch.ones(1, 3)) ** 2).sum()
+        loss = (net(torch.arange(12.0).reshape(1, 3, 2, 2)) ** 2).sum()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
 
 
-def test_adam_goes_on_as_if_never_stopped(tmp_path: Path) -> None:
-    net = nn.Linear(3, 2)
-    optimizer = torch.optim.Adam(net.parameters(), lr=0.01, eps=1e-5)
+@pytest.mark.parametrize("fused", [False, True])
+def test_adam_goes_on_as_if_never_stopped(tmp_path: Path, *, fused: bool) -> None:
+    net = network()
+    optimizer = torch.optim.Adam(net.parameters(), lr=0.01, eps=1e-5, fused=fused)
     train(net, optimizer, 3)
     tensors = {**prefixed("net", net.state_dict()), **prefixed("optimizer", optimizer_tensors(optimizer))}
     save_checkpoint(tmp_path / "x", tensors, {})
     train(net, optimizer, 3)
 
     found, _ = load_checkpoint(tmp_path / "x")
-    other = nn.Linear(3, 2)
+    other = network()
     other.load_state_dict(without_prefix("net", found))
-    other_optimizer = torch.optim.Adam(other.parameters(), lr=0.01, eps=1e-5)
+    other_optimizer = torch.optim.Adam(other.parameters(), lr=0.01, eps=1e-5, fused=fused)
     load_optimizer(other_optimizer, without_prefix("optimizer", found))
     train(other, other_optimizer, 3)
     assert all(torch.equal(a, b) for a, b in zip(net.parameters(), other.parameters(), strict=True))
