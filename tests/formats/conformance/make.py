@@ -65,7 +65,8 @@ def _step(step: int, segment: int, segment_step: int) -> StepRecord:
     return StepRecord(
         step=step, segment=segment, segment_step=segment_step, action=(step + 3) % 9, object_state=_state(step + 1),
         contacts=(contact, wall)[: step % 3], intrinsic_reward=step / 10,
-        world_model_loss=math.nan if step < 1 else 1e-3, policy_entropy=math.log(9), value=-step / 3, reward_parts=(step / 7, -0.5), **_seen(step + 1),
+        world_model_loss=math.nan if step < 1 else 1e-3, policy_entropy=math.log(9), value=-step / 3,
+        reward_parts=(step / 7, -0.5), **_seen(step + 1),
     )  # fmt: skip
 
 
@@ -119,4 +120,6 @@ def describe(path: Path) -> dict[str, Any]:
 if __name__ == "__main__":
     here = Path(__file__).parent
     write(here).rename(here / "small.mcap")
-    (here / "small.json").write_text(json.dumps(describe(here / "small.mcap"), indent=1) + "\n")
+    found = describe(here / "small.mcap")
+    messages = ",\n".join(json.dumps(message) for message in found.pop("messages"))
+    (here / "small.json").write_text(f'{json.dumps(found, indent=1)[:-2]},\n "messages": [\n{messages}\n]\n}}\n')
