@@ -249,22 +249,29 @@ def read_chunk(path: Path, place: Place, topics: dict[int, str]) -> Iterator[Log
     with path.open("rb") as file:
         file.seek(place.offset)
         opcode, length = _HEAD.unpack(file.read(_HEAD.size))
-        yield from _messages(_Record(place.offset, opcode, file.read(length)), topics)
+        for _, message in _messages(_Record(place.offset, opcode, file.read(length)), topics):
+            yield message
 
 
 def chunks(path: Path, end: int | None = None) -> Iterator[list[Logged]]:
-    """Messages of each chunk from the beginning of a file of any kind; chunks from byte `end` on are left alone.
+    """Messages of each chunk from the beginning of a file that may be damaged, up to the chunk at byte `end`.
 
     Raises:
-        Damage: where the file is cut off, or a chunk does not unpack to what it says.
+        Damage: where the file is cut off, a chunk does not unpack to what it says, or messages are missing before it: a
+            chunk is gone whose record says that it is something else.
     """
     topics: dict[int, str] = {}
+    following: int | None = None
     with path.open("rb") as file:
         for record in _records(file, path.stat().st_size):
             if end is not None and record.offset >= end:
                 return
             if record.opcode == Opcode.CHUNK:
-                yield list(_messages(record, topics))
+                numbered = list(_messages(record, topics))
+                if numbered and following not in {None, numbered[0][0]}:
+                    raise Damage(record.offset, f"messages are missing before this byte, from number {following} on")
+                following = numbered[-1][0] + 1 if numbered else following
+                yield [message for _, message in numbered]
 
 
 def whole_chunks(path: Path, end: int | None = None) -> Iterator[list[Logged]]:
@@ -273,7 +280,8 @@ def whole_chunks(path: Path, end: int | None = None) -> Iterator[list[Logged]]:
         yield from chunks(path, end)
 
 
-def _messages(record: _Record, topics: dict[int, str]) -> Iterator[Logged]:
+def _messages(record: _Record, topics: dict[int, str]) -> Iterator[tuple[int, Logged]]:
+    """The messages of a chunk and their numbers, which go on from chunk to chunk."""
     with _damage_at(record.offset):
         raw = _unpack(record)
         offset = 0
@@ -283,11 +291,11 @@ def _messages(record: _Record, topics: dict[int, str]) -> Iterator[Logged]:
             if offset > len(raw):
                 raise ValueError("a record in the chunk is longer than the chunk")
             if opcode == Opcode.CHANNEL:
-                channel = Channel.read(ReadDataStream(BytesIO(raw[start:offset])))
-                topics[channel.id] = channel.topic
+                named = Channel.read(ReadDataStream(BytesIO(raw[start:offset])))
+                topics[named.id] = named.topic
             elif opcode == Opcode.MESSAGE:
-                number, _, time, _ = _MESSAGE.unpack_from(raw, start)
-                yield Logged(topics.get(number, ""), time, raw[start + _MESSAGE.size : offset])
+                channel, number, time, _ = _MESSAGE.unpack_from(raw, start)
+                yield number, Logged(topics.get(channel, ""), time, raw[start + _MESSAGE.size : offset])
 
 
 def _unpack(record: _Record) -> bytes:

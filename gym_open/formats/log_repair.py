@@ -164,12 +164,16 @@ def _write(path: Path, target: Path, whole: _Whole, bar: progress.Bar, *, head: 
     partial.mkdir()
     try:
         files = LogFiles(partial, head, _NO_LIMIT, part=part)
-        for group in islice(_complete(path, bar), whole.groups):
-            for message in group:
-                files.put(message)
-        if whole.end is not None:
-            files.add(whole.end)
-        files.finish(goes_on=whole.goes_on)
+        try:
+            for group in islice(_complete(path, bar), whole.groups):
+                for message in group:
+                    files.put(message)
+            if whole.end is not None:
+                files.add(whole.end)
+            files.finish(goes_on=whole.goes_on)
+        except BaseException:
+            files.abandon()
+            raise
         made = partial / log_name(head.stream, part)
         for _ in open_log(made).segments(_PIECE):
             pass

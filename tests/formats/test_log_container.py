@@ -53,8 +53,9 @@ def rewritten(
                 writer.add_attachment(0, 0, name, "", data)
         for name, values in contents.metadata.items():
             writer.add_metadata(name, {**values, **(head or {})} if name == log_schemas.HEAD else values)
-        for topic, time, data in chain.from_iterable(whole_chunks(whole)) if messages is None else messages:
-            writer.add_message(channels[topic], time, data, time)
+        messages = chain.from_iterable(whole_chunks(whole)) if messages is None else messages
+        for number, (topic, time, data) in enumerate(messages):
+            writer.add_message(channels[topic], time, data, time, number)
         writer.finish()
     return out
 
@@ -101,6 +102,19 @@ def test_a_changed_chunk_is_named_though_the_file_goes_on_after_it(whole: Path, 
     path = tmp_path / "changed.mcap"
     path.write_bytes(raw)
     with pytest.raises(LogError, match=f"byte {place.offset}: .*the last whole step is 3;"):
+        open_log(path)
+
+
+def test_a_chunk_that_is_no_chunk_any_more_is_missed(whole: Path, tmp_path: Path) -> None:
+    """Readers are to pass over records of unknown kinds, so its messages would be gone without a trace."""
+    raw, places = bytearray(whole.read_bytes()), read_contents(whole).chunks
+    raw[places[1].offset] = 0x70
+    path = tmp_path / "changed.mcap"
+    path.write_bytes(raw)
+    assert list(whole_chunks(path)) == list(whole_chunks(whole))[:1]
+    with pytest.raises(
+        LogError, match=f"byte {places[2].offset}: messages are missing before this byte, from number 2 on"
+    ):
         open_log(path)
 
 
