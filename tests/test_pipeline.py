@@ -20,7 +20,7 @@ from gym_open.cli import main
 from gym_open.evaluate import a_success
 
 TINY = {
-    "collect/curl-ride.toml": "steps = 768\nstreams = 2\nthreads = 1\n",
+    "collect/curl-ride.toml": "steps = 768\nstreams = 2\nthreads = 1\ncheckpoint_every = 2\n",
     "train/encoder-curl.toml": "updates = 12\nreport_every = 4\nbatch_size = 32\nthreads = 1\n",
     "train/policy-goal-seeking.toml": "steps = 1536\nnum_envs = 8\nnum_steps = 64\nmean_images = 50\nthreads = 1\n",
     "train/probe.toml": "train_worlds = 60\nvalidation_worlds = 20\ntest_worlds = 30\npixels = false\nthreads = 1\n",
@@ -86,7 +86,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runs]:
 def test_everything_that_a_run_promises_is_there(runs: Runs) -> None:
     root, shown = runs.root, runs.shown
     for name in (
-        "collect/logs/curl-ride-seed0/stream-000.mcap",
+        "collect/logs/curl-ride-seed0/stream-000-000.mcap",
         f"{RELEASE}/meta/info.json",
         "train/encoders/curl-seed0/model.safetensors",
         "train/policies/goal-seeking-curl-seed0/model.safetensors",
@@ -162,7 +162,7 @@ def test_a_flipped_byte_in_the_release_stops_training(
 def test_a_cut_log_makes_no_release(runs: Runs, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     root = runs.root
     log = Path(shutil.copytree(root / "collect/logs/curl-ride-seed0", tmp_path / "log"))
-    victim = log / "stream-000.mcap"
+    victim = log / "stream-000-000.mcap"
     victim.write_bytes(victim.read_bytes()[: int(victim.stat().st_size * 0.61)])
     out = tmp_path / "release"
     assert main(["dataset", "build", "--workspace", str(root), "--logs", str(log), "--out", str(out)]) == 1
