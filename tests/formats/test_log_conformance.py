@@ -4,6 +4,7 @@ import json
 import runpy
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +74,40 @@ def test_our_reader_reads_it(said: dict[str, Any]) -> None:
             assert segment.reward_parts[name].tolist() == [step["reward_parts"][i] for step in mine]
         losses = [float(step["world_model_loss"]) for step in mine]
         np.testing.assert_array_equal(segment.world_model_loss, losses)
+
+
+def test_rerun_shows_its_pictures_plots_and_events(tmp_path: Path) -> None:
+    """The pinned viewer opens a log as it is."""
+    import rerun
+
+    program = str(Path(sys.executable).with_name("rerun"))
+    save = [program, str(PAIR / "small.mcap"), "--save", str(tmp_path / "x.rrd"), "--port", "0"]
+    subprocess.run(save, check=True, capture_output=True, timeout=60)
+    recording = rerun.dataframe.load_recording(tmp_path / "x.rrd")
+
+    def column(place: str, name: str) -> list[Any]:
+        table = recording.view(index="log_time", contents=place).select().read_all().to_pylist()
+        return [row[f"{place}:{name}"] for row in table if row[f"{place}:{name}"]]
+
+    (last,) = [segment for segment in open_log(PAIR / "small.mcap").segments() if segment.ended == "budget"]
+    assert last.depth is not None
+    assert last.segmentation is not None
+    for place, kind, picture in (
+        ("/observation/image", "Image", last.images[-1]),
+        ("/observation/depth", "DepthImage", last.depth[-1]),
+        ("/observation/segmentation", "DepthImage", last.segmentation[-1]),
+    ):
+        assert bytes(column(place, f"{kind}:buffer")[-1][0]) == picture.tobytes()
+    assert column("/metrics/position", "SeriesLines:names")[-1] == [
+        "intrinsic_reward", "world_model_loss", "policy_entropy", "value", "intrinsic_reward/forward",
+        "intrinsic_reward/inverse",
+    ]  # fmt: skip
+    assert column("/metrics/position", "Scalars:scalars")[-1][3:] == [
+        last.value[-1],
+        last.reward_parts["forward"][-1],
+        -0.5,
+    ]
+    assert ["step 2: heavy_0 stuck in a corner at (1.90, -1.90, 0.05)"] in column("/events", "TextDocument:text")
 
 
 @pytest.mark.node
