@@ -8,6 +8,8 @@ A *push* is an action other than the no-op, which lets no time pass.
   while the gaps between it and two walls are both narrower than the agent, which then cannot get behind it.
 """
 
+import math
+
 import msgspec
 import numpy as np
 
@@ -24,6 +26,8 @@ _GAP = 2 * RADIUS
 """Width of the agent."""
 _LONGER = np.array([RECTANGLE_LENGTH / 2 - RADIUS if kind_of(name) == "rectangle" else 0.0 for name in INVENTORY])
 """(objects,) metres by which half the length of an object is more than half its height."""
+_NEAR_X, _NEAR_Y = WALL_X - RADIUS - _GAP - _LONGER, WALL_Y - RADIUS - _GAP - _LONGER
+"""(objects,) metres from the middle beyond which an object can be in a corner, however it lies."""
 
 
 class Watch(msgspec.Struct):
@@ -60,7 +64,7 @@ class Watch(msgspec.Struct):
         """
         before = self._stuck()
         here = position(states, _AGENT)
-        if np.linalg.norm(np.subtract(here, self.place)) > REACH_M:
+        if math.dist(here, self.place) > REACH_M:
             self.place, self.pushes = here, 0
         else:
             self.pushes += 1
@@ -84,16 +88,17 @@ class Watch(msgspec.Struct):
 def in_corner(states: np.ndarray) -> list[str]:
     """Names of the objects in a corner of the table, the agent aside; `states` is (objects, 13)."""
     x, y = np.abs(states[:, 0]), np.abs(states[:, 1])
-    near = (x > WALL_X - RADIUS - _GAP - _LONGER) & (y > WALL_Y - RADIUS - _GAP - _LONGER) & (y < WALL_Y)
-    near[_AGENT] = False
-    if not near.any():
-        return []
+    near = np.flatnonzero((x > _NEAR_X) & (y > _NEAR_Y) & (y < WALL_Y))
+    return [INVENTORY[index] for index in near.tolist() if index != _AGENT and _no_way_behind(states[index], index)]
+
+
+def _no_way_behind(state: np.ndarray, index: int) -> bool:
+    """Whether the gaps between an object and two walls are too narrow for the agent."""
+    x, y, _, w, qx, qy, qz = state[:7].tolist()
     # A rectangle reaches as far towards a wall as its long axis, the x axis of its body, points there.
-    w, qx, qy, qz = states[:, 3:7].T
-    reach_x = RADIUS + _LONGER * np.abs(1 - 2 * (qy * qy + qz * qz))
-    reach_y = RADIUS + _LONGER * np.abs(2 * (qx * qy + w * qz))
-    near &= (WALL_X - reach_x - x < _GAP) & (WALL_Y - reach_y - y < _GAP)
-    return [INVENTORY[index] for index in np.flatnonzero(near)]
+    reach_x = RADIUS + _LONGER[index] * abs(1 - 2 * (qy * qy + qz * qz))
+    reach_y = RADIUS + _LONGER[index] * abs(2 * (qx * qy + w * qz))
+    return bool(WALL_X - reach_x - abs(x) < _GAP and WALL_Y - reach_y - abs(y) < _GAP)
 
 
 def position(states: np.ndarray, index: int = _AGENT) -> tuple[float, float, float]:
