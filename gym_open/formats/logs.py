@@ -5,7 +5,7 @@ The layout is in docs/data-format.md. `LogWriter` writes, `resume_writer` goes o
 encoding.
 """
 
-from gym_open.formats.log_reader import Log, log_files, open_log
+from gym_open.formats.log_reader import Log, log_files, open_log, open_logs
 from gym_open.formats.log_resume import resume_writer
 from gym_open.formats.log_schemas import (
     LogError,
@@ -32,5 +32,6 @@ __all__ = [
     "log_files",
     "log_name",
     "open_log",
+    "open_logs",
     "resume_writer",
 ]
