@@ -9,7 +9,7 @@ from itertools import chain
 from pathlib import Path
 
 from gym_open.formats.log_container import Damage, read_contents, whole_chunks
-from gym_open.formats.log_files import LogFiles
+from gym_open.formats.log_parts import LogParts
 from gym_open.formats.log_schemas import LogError, LogHead, log_name
 from gym_open.formats.log_writer import ROLL_BYTES, LogWriter
 
@@ -28,7 +28,7 @@ def resume_writer(
     """
     part, before = _kept(folder, head.stream, messages)
     old = _set_aside(folder, aside, head.stream, part)
-    files = LogFiles(folder, head, roll_bytes, part=part, messages=before)
+    files = LogParts(folder, head, roll_bytes, part=part, messages=before)
     chunks = chain.from_iterable(map(whole_chunks, old))
     try:
         while files.messages < messages and (chunk := next(chunks, None)) is not None:

@@ -10,7 +10,7 @@ from threading import Thread
 from types import TracebackType
 from typing import NamedTuple, Self
 
-from gym_open.formats.log_files import LogFiles
+from gym_open.formats.log_parts import LogParts
 from gym_open.formats.log_schemas import LogHead, Record, SegmentStart, StepRecord, Stuck, Switch
 
 ROLL_BYTES = 256 * 2**20
@@ -40,10 +40,10 @@ class LogWriter:
     """
 
     def __init__(
-        self, folder: Path, head: LogHead, *, roll_bytes: int = ROLL_BYTES, begun: LogFiles | None = None
+        self, folder: Path, head: LogHead, *, roll_bytes: int = ROLL_BYTES, begun: LogParts | None = None
     ) -> None:
         """With `begun`, go on with files that were begun before: see `log_resume`."""
-        self._files = begun or LogFiles(folder, head, roll_bytes)
+        self._files = begun or LogParts(folder, head, roll_bytes)
         self._reward_parts = head.reward_parts
         self._records: list[Record] = []
         self._error: BaseException | None = None

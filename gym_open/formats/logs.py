@@ -8,6 +8,7 @@ encoding.
 from gym_open.formats.log_reader import Log, log_files, open_log, open_logs
 from gym_open.formats.log_resume import resume_writer
 from gym_open.formats.log_schemas import (
+    Keyframe,
     LogError,
     LogHead,
     Segment,
@@ -20,6 +21,7 @@ from gym_open.formats.log_schemas import (
 from gym_open.formats.log_writer import LogWriter
 
 __all__ = [
+    "Keyframe",
     "Log",
     "LogError",
     "LogHead",

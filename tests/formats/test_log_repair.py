@@ -17,7 +17,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 
 from gym_open.formats import log_mcap, log_repair
 from gym_open.formats.log_container import read_contents
-from gym_open.formats.log_files import LogFiles
+from gym_open.formats.log_parts import LogParts
 from gym_open.formats.log_reader import open_log
 from gym_open.formats.log_repair import Repair, repair
 from gym_open.formats.log_schemas import IMAGE, METRICS, SEGMENTATION, STEP, LogError, Segment, Switch
@@ -215,7 +215,7 @@ def test_a_repair_that_fails_leaves_nothing_and_can_be_done_again(
         raise KilledError
 
     with monkeypatch.context() as patch:
-        patch.setattr(LogFiles, "finish", killed)
+        patch.setattr(LogParts, "finish", killed)
         with pytest.raises(KilledError):
             repair(path)
         assert list(tmp_path.iterdir()) == [path]

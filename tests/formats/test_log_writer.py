@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from gym_open.formats import log_files, log_mcap, log_schemas, log_writer
+from gym_open.formats import log_mcap, log_parts, log_schemas, log_writer
 from gym_open.formats.log_container import Logged, read_contents, whole_chunks
 from gym_open.formats.log_messages import messages_of
 from gym_open.formats.log_resume import resume_writer
@@ -63,9 +63,9 @@ def test_bytes_do_not_depend_on_timing(
         (tmp_path / name).mkdir()
     plain = made_up.write(tmp_path / "plain", records, roll_bytes=9_000)
     rng = random.Random(batch)
-    add, put = log_files.LogFiles.add, made_up.put
+    add, put = log_parts.LogParts.add, made_up.put
 
-    def slow_add(files: log_files.LogFiles, record: Record) -> None:
+    def slow_add(files: log_parts.LogParts, record: Record) -> None:
         time.sleep(rng.choice([0, 0, 0.0005]))
         add(files, record)
 
@@ -73,7 +73,7 @@ def test_bytes_do_not_depend_on_timing(
         time.sleep(rng.choice([0, 0, 0.0005]))
         put(writer, record)
 
-    monkeypatch.setattr(log_files.LogFiles, "add", slow_add)
+    monkeypatch.setattr(log_parts.LogParts, "add", slow_add)
     monkeypatch.setattr(made_up, "put", slow_put)
     monkeypatch.setattr(log_writer, "BATCH", batch)
     monkeypatch.setattr(log_writer, "QUEUE", queue)

@@ -15,7 +15,7 @@ from gym_open.formats.log_messages import messages_of
 from gym_open.formats.log_schemas import LogError, LogHead, Record, SegmentStart
 
 
-class LogFiles:
+class LogParts:
     """Writes one stream's records in `folder`, from part `part` on; for one thread at a time.
 
     Raises:
