@@ -52,7 +52,7 @@ class FileInfo(msgspec.Struct):
             return f"at byte {self.damage.offset:,}: {self.damage.what}"
         if not (self.goes_on or (self.switches and self.switches[-1].to_world < 0)):
             return "not ended: no last switch in it"
-        return f"whole, goes on in part {self.part + 1}" if self.goes_on else "whole"
+        return "whole, goes on" if self.goes_on else "whole"
 
 
 def inspect(path: Path) -> FileInfo:
@@ -121,7 +121,7 @@ def _files(files: Sequence[FileInfo]) -> Table:
     head = files[0].head
     seed = f", seed {head.provenance['seed']}" if "seed" in head.provenance else ""
     title = f"{schemas.FORMAT}, written by {head.provenance.get('code', 'an unknown version')}{seed}"
-    table = _table(title, ["file"], ["steps", "simulated", "bytes", "bytes/step"], ["health"])
+    table = _table(title, ["file"], ["steps", "simulated", "bytes", "B/step"], ["health"])
     for file in files:
         table.add_row(file.path.name, *_size([file]), file.health)
     return table
@@ -134,7 +134,7 @@ def _size(files: Sequence[FileInfo]) -> tuple[str, str, str, str]:
 
 
 def _streams(files: Sequence[FileInfo], *, alone: bool) -> Table:
-    right = ["steps", "bytes/step", "worlds", "segments", "stuck"]
+    right = ["steps", "B/step", "worlds", "segments", "stuck"]
     table = _table("streams", ["stream"], right, ["switches", "health"])
     for stream in sorted({file.head.stream for file in files}):
         own = [file for file in files if file.head.stream == stream]
@@ -161,7 +161,7 @@ def _health(files: Sequence[FileInfo], *, alone: bool) -> str:
     there = {file.part for file in files}
     if missing := sorted(set(range(max(there) + 1 + files[-1].goes_on)) - there):
         return f"part {', '.join(map(str, missing))} missing"
-    return "whole" if files[-1].health == "whole" else files[-1].health
+    return files[-1].health
 
 
 def _channels(files: Sequence[FileInfo]) -> Table:

@@ -84,7 +84,7 @@ def _table(title: str, columns: Sequence[str]) -> Table:
 
 
 def _by_stream(streams: Sequence[list[Window]], tolerance: float) -> Table:
-    title = f"windows by verdict (tolerance {tolerance:g}); worst object, steps and pixels that differ"
+    title = f"windows by verdict, tolerance {tolerance:g}; what differs"
     columns = ("stream", "steps", "identical", "within", "diverged", "off by", "contacts", "pixels")
     table = _table(title, columns)
     for windows in filter(None, streams):

@@ -69,7 +69,7 @@ def test_files_and_streams_are_summed_up(whole: Path) -> None:
 def test_parts_are_summed_up(whole: Path, parts: list[Path], tmp_path: Path) -> None:
     """The parts hold together what one file would, but for where a segment was gone on with."""
     assert [row[0] for row in cells(tmp_path, 0)] == [path.name for path in parts]
-    assert [row[-1] for row in cells(tmp_path, 0)] == ["whole, goes on in part 1", "whole, goes on in part 2", "whole"]
+    assert [row[-1] for row in cells(tmp_path, 0)] == ["whole, goes on", "whole, goes on", "whole"]
     (one,), (other,) = cells(tmp_path, 1), cells(whole, 1)
     assert [one[0], one[1], *one[3:]] == [other[0], other[1], *other[3:]]
     assert cells(tmp_path, 2) == cells(whole, 2)
