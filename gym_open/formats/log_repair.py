@@ -69,7 +69,10 @@ def repair(path: Path) -> Repair:
             if the new file is there already.
     """
     target = path.with_name(f"{path.stem}-repaired.mcap")
-    found = _damage(path)
+    if not path.is_file():
+        raise LogError(f"{path}: no such log")
+    contents, found = scan(path)
+    found = found or _no_end(path)
     if found is None:
         return Repair(saved=None)
     try:
@@ -80,7 +83,6 @@ def repair(path: Path) -> Repair:
         raise LogError(f"{path}: not a log of this version, or its head is damaged: {error}") from None
     if target.exists():
         raise LogError(f"{target}: is there already and is not overwritten; move it away and run the command again")
-    contents, _ = scan(path)
     goes_on = schemas.CONTINUES in contents.metadata and contents.chunks[-1].offset < found.offset
     with progress.bar("repairing", 2 * sum(place.offset < found.offset for place in contents.chunks)) as bar:
         try:
@@ -94,17 +96,13 @@ def repair(path: Path) -> Repair:
     )  # fmt: skip
 
 
-def _damage(path: Path) -> Damage | None:
-    """Where the file is damaged: at its end if only the last switch lacks."""
-    if not path.is_file():
-        raise LogError(f"{path}: no such log")
-    _, damage = scan(path)
-    if damage is None:
-        try:
-            open_log(path)
-        except LogError as error:
-            return Damage(path.stat().st_size, str(error))
-    return damage
+def _no_end(path: Path) -> Damage | None:
+    """What is wrong with a file whose bytes are all right: the last switch lacks, or it is no log."""
+    try:
+        open_log(path)
+    except LogError as error:
+        return Damage(path.stat().st_size, str(error))
+    return None
 
 
 def _complete(path: Path, bar: progress.Bar) -> Iterator[list[Logged]]:
