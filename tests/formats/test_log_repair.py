@@ -82,7 +82,7 @@ def assert_beginning(found: list[Segment], expected: list[Segment]) -> None:
         assert one.ended == (other.ended if n == len(other.actions) and i + 1 < len(found) else one.ended)
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=FIXTURES)
+@settings(max_examples=40, deadline=None, suppress_health_check=FIXTURES)
 @given(st.data())
 def test_a_log_cut_anywhere_is_saved_up_to_its_last_whole_step(
     whole: Path, tmp_path: Path, data: st.DataObject
@@ -114,20 +114,23 @@ def test_a_log_cut_anywhere_is_saved_up_to_its_last_whole_step(
         assert end.world_losses == losses
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=FIXTURES)
+@settings(max_examples=40, deadline=None, suppress_health_check=FIXTURES)
 @given(st.data())
 def test_of_a_log_with_a_changed_byte_nothing_wrong_is_saved(whole: Path, tmp_path: Path, data: st.DataObject) -> None:
+    """And all that lies before it is."""
     raw = bytearray(whole.read_bytes())
     at = data.draw(st.integers(read_contents(whole).chunks[1].offset, len(raw) - 1))
+    before = steps_by_the_mcap_package(bytes(raw[:at]))
     raw[at] ^= data.draw(st.integers(1, 255))
     path = damaged(tmp_path, bytes(raw))
     try:
         made = repair(path)
     except LogError as error:
-        assert "nothing can be saved" in str(error)  # noqa: PT017 - or it is saved
+        assert "nothing can be saved" in str(error)  # noqa: PT017 - or something is
+        assert before == 0
         return
     assert made.saved is not None
-    assert made.offset <= at or "before this byte" in made.what
+    assert made.steps >= before
     assert_beginning(list(open_log(made.saved).segments()), list(open_log(whole).segments()))
 
 
