@@ -184,6 +184,7 @@ def test_a_large_file_is_followed_by_another_at_a_keyframe(made_up: Any, tmp_pat
         assert contents.metadata.get("continues") == (None if last else {"part": str(part + 1)})
         assert set(contents.attachments) == {"config.json", "model.xml", "puzzles.json"}
         assert last or path.stat().st_size >= roll_bytes
+        assert last or path.read_bytes().index(b"continues") > contents.chunks[-1].offset
         assert read([path])[0].topic == (log_schemas.SWITCH if part == 0 else log_schemas.SEGMENT)
 
 
