@@ -274,6 +274,16 @@ def chunks(path: Path, end: int | None = None) -> Iterator[list[Logged]]:
                 yield [message for _, message in numbered]
 
 
+def first_number(path: Path) -> int:
+    """Number of a file's first message; 0 if no chunk is whole."""
+    with suppress(Damage), path.open("rb") as file:
+        for record in _records(file, path.stat().st_size):
+            if record.opcode == Opcode.CHUNK:
+                for number, _ in _messages(record, {}):
+                    return number
+    return 0
+
+
 def whole_chunks(path: Path, end: int | None = None) -> Iterator[list[Logged]]:
     """As `chunks`, up to the damage: what can be saved of a log whose writer was killed."""
     with suppress(Damage):

@@ -13,7 +13,7 @@ from gym_open import progress
 from gym_open.errors import GymOpenError
 from gym_open.formats import log_schemas as schemas
 from gym_open.formats.log_cdr import CdrReader
-from gym_open.formats.log_container import Damage, Logged, read_head, scan, whole_chunks
+from gym_open.formats.log_container import Damage, Logged, first_number, read_head, scan, whole_chunks
 from gym_open.formats.log_messages import PIXELS, decode_switch
 from gym_open.formats.log_parts import LogParts
 from gym_open.formats.log_reader import open_log, parse_head
@@ -161,7 +161,7 @@ def _write(path: Path, target: Path, whole: _Whole, bar: progress.Bar, *, head: 
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir()
     try:
-        files = LogParts(partial, head, _NO_LIMIT, part=part)
+        files = LogParts(partial, head, _NO_LIMIT, part=part, messages=first_number(path))
         try:
             for group in islice(_complete(path, bar), whole.groups):
                 for message in group:

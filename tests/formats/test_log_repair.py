@@ -12,6 +12,7 @@ import zstandard
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.exceptions import McapError
+from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 
@@ -145,6 +146,13 @@ def test_a_repaired_last_part_takes_its_place(rolled: list[Path], tmp_path: Path
     assert found[-1].ended == "cut"
     assert_beginning(found, list(open_log(rolled).segments()))
     assert made.last_step == log.n_steps - 1
+    assert numbers(made.saved)[:-2] == numbers(rolled[number])[: len(numbers(made.saved)) - 2]  # but for the cut
+
+
+def numbers(path: Path) -> list[int]:
+    """Of the messages: they go on from part to part."""
+    with path.open("rb") as file:
+        return [message.sequence for _, _, message in make_reader(file).iter_messages(log_time_order=False)]
 
 
 def test_a_part_whose_index_alone_is_lost_goes_on_as_before(rolled: list[Path], tmp_path: Path) -> None:
