@@ -95,17 +95,21 @@ def _header() -> CdrWriter:
 
 
 def encode_image(topic: str, image: np.ndarray, nanoseconds: int) -> bytes:
-    """`sensor_msgs/msg/Image` of a picture as `PIXELS` says for the topic."""
-    pixels = np.ascontiguousarray(image, PIXELS[topic][1])
-    return b"".join((_stamp(nanoseconds), _before_pixels(topic, image.shape), pixels.data))
+    """`sensor_msgs/msg/Image` of a picture.
+
+    Raises:
+        ValueError: if it has another shape or type than `PIXELS` says for the topic.
+    """
+    before = _before_pixels(topic, image.shape, image.dtype)
+    return b"".join((_stamp(nanoseconds), before, np.ascontiguousarray(image).data))
 
 
 @functools.cache
-def _before_pixels(topic: str, shape: tuple[int, ...]) -> bytes:
+def _before_pixels(topic: str, shape: tuple[int, ...], kind: np.dtype) -> bytes:
     """All of an image message between its stamp and its pixels."""
-    encoding, kind, expected = PIXELS[topic]
-    if shape != expected:
-        raise ValueError(f"{topic}: expected a picture of shape {expected}, got {shape}")
+    encoding, *expected = PIXELS[topic]
+    if [kind, shape] != expected:
+        raise ValueError(f"{topic}: expected a picture of {expected[0]} {expected[1]}, got {kind} {shape}")
     out = _header()
     out.scalar("I", shape[0])
     out.scalar("I", shape[1])

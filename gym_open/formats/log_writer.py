@@ -79,7 +79,7 @@ class LogWriter:
         self._put(stuck)
 
     def flush(self) -> None:
-        """End the chunk: once it is written, all before is safe from a kill of this process. Waits for nothing."""
+        """End the chunk: once that is written, all before is safe from a kill of this process. Does not wait for it."""
         self._hand_over(flush=True)
 
     def sync(self) -> None:
