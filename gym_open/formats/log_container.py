@@ -207,8 +207,9 @@ def _damage_at(offset: int) -> Iterator[None]:
     """Whatever the parsers of a record raise over nonsense is damage of that record."""
     try:
         yield
-    except (McapError, struct.error, ValueError, IndexError, OverflowError, zstandard.ZstdError) as error:
-        raise Damage(offset, f"the record that begins here makes no sense ({error or type(error).__name__})") from None
+    except (McapError, struct.error, ValueError, LookupError, OverflowError, zstandard.ZstdError) as error:
+        what = f"{type(error).__name__}: {error}".removeprefix("ValueError: ")
+        raise Damage(offset, f"the record that begins here makes no sense ({what})") from None
 
 
 class _Checksums:
@@ -279,8 +280,7 @@ def first_number(path: Path) -> int:
     with suppress(Damage), path.open("rb") as file:
         for record in _records(file, path.stat().st_size):
             if record.opcode == Opcode.CHUNK:
-                for number, _ in _messages(record, {}):
-                    return number
+                return next((number for number, _ in _messages(record, {})), 0)
     return 0
 
 
@@ -305,7 +305,7 @@ def _messages(record: _Record, topics: dict[int, str]) -> Iterator[tuple[int, Lo
                 topics[named.id] = named.topic
             elif opcode == Opcode.MESSAGE:
                 channel, number, time, _ = _MESSAGE.unpack_from(raw, start)
-                yield number, Logged(topics.get(channel, ""), time, raw[start + _MESSAGE.size : offset])
+                yield number, Logged(topics[channel], time, raw[start + _MESSAGE.size : offset])
 
 
 def _unpack(record: _Record) -> bytes:

@@ -133,9 +133,13 @@ class Log:
         """
         if max_steps is not None and max_steps < 1:
             raise UsageError(f"max_steps: expected 1 or more, got {max_steps}")
-        records = (decode_record(group, self.puzzles) for group in groups(self._messages()))
+        records, steps = (decode_record(group, self.puzzles) for group in groups(self._messages())), 0
         try:
-            yield from segments(records, self.stream, self.reward_parts, max_steps, open_end=self._open_end)
+            for piece in segments(records, self.stream, self.reward_parts, max_steps, open_end=self._open_end):
+                steps += len(piece.actions)
+                yield piece
+            if steps != self.n_steps:
+                raise ValueError(f"it holds {steps} steps, its index tells of {self.n_steps}")
         except ValueError as error:
             raise LogError(f"{self.path}: {error}; {REMEDY}") from None
 
@@ -182,11 +186,14 @@ def open_file(path: Path) -> LogFile:
         contents = read_contents(path)
         head, part = parse_head(contents)
         _check_channels(contents)
+        following = contents.metadata.get(schemas.CONTINUES)
+        if following not in (None, {"part": str(part + 1)}):
+            raise ValueError(f"part {part} goes on in {following}, expected part {part + 1}")
     except Damage as damage:
         raise damaged(path, damage) from None
     except (ValueError, KeyError, GymOpenError) as error:
         raise _foreign(path, error) from None
-    return LogFile(path, contents, head, part, schemas.CONTINUES in contents.metadata)
+    return LogFile(path, contents, head, part, goes_on=following is not None)
 
 
 def parse_head(contents: Contents) -> tuple[LogHead, int]:
@@ -214,9 +221,10 @@ def parse_head(contents: Contents) -> tuple[LogHead, int]:
 
 
 def _check_channels(contents: Contents) -> None:
-    """Raises ValueError if the messages are not of our types."""
-    for topic, schema in contents.channels.values():
-        if topic not in schemas.DEFINITIONS or contents.schemas.get(schema) != schemas.DEFINITIONS[topic]:
+    """Raises ValueError if the file does not name our topics, each with the type of its messages, and no other."""
+    found = {topic: contents.schemas.get(schema) for topic, schema in contents.channels.values()}
+    for topic in found | schemas.DEFINITIONS:
+        if topic not in found or found[topic] != schemas.DEFINITIONS.get(topic):
             raise ValueError(f"the messages of {topic!r} are not of the type that {schemas.FORMAT!r} has for them")
 
 

@@ -70,7 +70,7 @@ def repair(path: Path) -> Repair:
     """
     target = path.with_name(f"{path.stem}-repaired.mcap")
     if not path.is_file():
-        raise LogError(f"{path}: no such log")
+        raise LogError(f"{path}: no such log file; give one file (.mcap)")
     contents, found = scan(path)
     found = found or _no_end(path)
     if found is None:

@@ -12,6 +12,7 @@ import pytest
 import zstandard
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from mcap.opcode import Opcode
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import CompressionType, Writer
 
@@ -34,7 +35,8 @@ def rewritten(
     *,
     attachments: Mapping[str, bytes | None] | None = None,
     head: Mapping[str, str] | None = None,
-    definitions: Mapping[str, tuple[str, str]] | None = None,
+    metadata: Mapping[str, dict[str, str]] | None = None,
+    definitions: Mapping[str, tuple[str, str] | None] | None = None,
     messages: Iterable[Logged] | None = None,
     twice: str = "",
 ) -> Path:
@@ -45,13 +47,15 @@ def rewritten(
         writer = Writer(file, compression=CompressionType.ZSTD, enable_data_crcs=True)
         writer.start("ros2")
         channels: dict[str, int] = {}
-        for topic, (name, definition) in {**log_schemas.DEFINITIONS, **(definitions or {})}.items():
-            schema = writer.register_schema(name, SchemaEncoding.ROS2, definition.encode())
+        for topic, kind in {**log_schemas.DEFINITIONS, **(definitions or {})}.items():
+            if kind is None:
+                continue
+            schema = writer.register_schema(kind[0], SchemaEncoding.ROS2, kind[1].encode())
             channels[topic] = writer.register_channel(topic, MessageEncoding.CDR, schema)
         for name, data in [*files.items(), *((twice, data) for name, data in files.items() if name == twice)]:
             if data is not None:
                 writer.add_attachment(0, 0, name, "", data)
-        for name, values in contents.metadata.items():
+        for name, values in {**contents.metadata, **(metadata or {})}.items():
             writer.add_metadata(name, {**values, **(head or {})} if name == log_schemas.HEAD else values)
         messages = chain.from_iterable(whole_chunks(whole)) if messages is None else messages
         for number, (topic, time, data) in enumerate(messages):
@@ -198,6 +202,35 @@ def test_messages_of_another_type_are_refused(whole: Path, tmp_path: Path, topic
         open_log(path)
 
 
+def test_a_missing_channel_is_refused(whole: Path, tmp_path: Path) -> None:
+    path = rewritten(whole, tmp_path / "x.mcap", definitions={"/observation/depth": None})
+    with pytest.raises(LogError, match="the messages of '/observation/depth' are not of the type"):
+        open_log(path)
+
+
+@pytest.mark.parametrize("following", [{"part": "2"}, {"part": "../x"}, {}])
+def test_a_file_that_goes_on_elsewhere_is_refused(whole: Path, tmp_path: Path, following: dict[str, str]) -> None:
+    path = rewritten(whole, tmp_path / "x.mcap", metadata={log_schemas.CONTINUES: following})
+    with pytest.raises(LogError, match=r"part 0 goes on in .*, expected part 1"):
+        open_log(path)
+
+
+def test_an_index_that_hides_steps_is_found_out(whole: Path, tmp_path: Path) -> None:
+    """It counts them of a channel that there is not, with the CRC of the whole data section made right again."""
+    raw, offset = bytearray(whole.read_bytes()), 8
+    steps = next(number for number, topic in read_contents(whole).topics.items() if topic == log_schemas.STEP)
+    while raw[offset] != Opcode.DATA_END:
+        opcode, length, channel = struct.unpack_from("<BQH", raw, offset)
+        if (opcode, channel) == (Opcode.MESSAGE_INDEX, steps):
+            struct.pack_into("<H", raw, offset + 9, 77)
+        offset += 9 + length
+    struct.pack_into("<I", raw, offset + 9, zlib.crc32(raw[:offset]))
+    path = tmp_path / "x.mcap"
+    path.write_bytes(raw)
+    with pytest.raises(LogError, match="it holds 9 steps, its index tells of 0"):
+        list(open_log(path).segments())
+
+
 def test_a_bomb_is_refused_before_it_unpacks(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A small log with 120 MB of zeros is refused by the sizes that its chunks declare."""
     zeros = [Logged(log_schemas.EVENTS, 0, bytes(2**20))] * 120
@@ -255,6 +288,7 @@ def message(channel: int, length: int) -> bytes:
     [
         pytest.param(message(1, 10**6), id="longer than its chunk"),
         pytest.param(b"\x05\x16", id="cut off in its head"),
+        pytest.param(message(7, 22), id="of a channel that was not named"),
         pytest.param(struct.pack("<BQ", 4, 3) + b"abc", id="a channel of three bytes"),
         pytest.param(struct.pack("<BQHHI", 4, 8, 1, 1, 10**9), id="a topic of a gigabyte"),
     ],

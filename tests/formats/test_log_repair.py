@@ -206,7 +206,7 @@ def test_nothing_is_overwritten(whole: Path, tmp_path: Path) -> None:
 
 
 def test_what_is_no_log_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match="no such log"):
+    with pytest.raises(LogError, match="no such log file"):
         repair(tmp_path / "x.mcap")
     (tmp_path / "x.mcap").write_text("no log at all")
     with pytest.raises(LogError, match="nothing can be saved of it"):
