@@ -113,10 +113,11 @@ def test_logs_in_several_files_go_on_too(
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize("seed", range(3))
 def test_killed_again_and_again_at_any_moment(tiny: CollectConfig, tmp_path: Path, seed: int) -> None:
     """Killed with -9 at times that nobody chose, each a little later, until it gets through."""
-    config = msgspec.structs.replace(tiny, steps=1200)
+    config = msgspec.structs.replace(tiny, steps=800)
     whole = collect(config, tmp_path / "whole").path
     rng, kills = np.random.default_rng(seed), 0
     while not (tmp_path / "log").exists():
