@@ -29,7 +29,7 @@ class IcmConfig(Config, frozen=True, kw_only=True):
     """Weight of the forward error in the reward."""
     eta_inverse: NonNegativeFloat = 0.0
     """Weight of the inverse error in the reward: ICM's own has none, OPEn's table names both."""
-    loss_scale: PositiveFloat = 0.01
+    loss_scale: PositiveFloat = 0.0067
     """What the loss of a world is multiplied by before the curriculum looks at it."""
 
 
@@ -57,7 +57,7 @@ class CurlConfig(Config, frozen=True, kw_only=True):
     """Share of the query encoder that enters the key encoder at an update."""
     update_every: PositiveInt = 2
     """The key encoder is updated every so many gradient steps."""
-    loss_scale: PositiveFloat = 0.000667
+    loss_scale: PositiveFloat = 0.0008
     """What the loss of a world is multiplied by before the curriculum of exploration looks at it."""
 
 
