@@ -137,6 +137,20 @@ def test_the_longer_of_two_files_is_kept_aside(made_up: Any, records: list[Recor
         run.finish()
 
 
+@pytest.mark.parametrize("left", [0, 100, 9_000])
+def test_killed_while_what_belongs_to_the_checkpoint_is_copied(
+    made_up: Any, records: list[Record], never_killed: Any, tmp_path: Path, left: int
+) -> None:
+    run = Run(tmp_path, made_up, records, 2**28)
+    run.kill(40, 1.0)
+    run.open().abandon()
+    (path,) = run.files()
+    assert path.stat().st_size > 9_000
+    with path.open("rb+") as file:
+        file.truncate(left)
+    assert run.finish() == never_killed[2**28]
+
+
 def test_a_resume_cut_short_between_two_files_is_done_again(
     made_up: Any, records: list[Record], never_killed: Any, tmp_path: Path
 ) -> None:
