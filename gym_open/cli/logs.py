@@ -83,6 +83,7 @@ class LogRepair(Command):
             return
         out.print(f"[bold green]made[/] {short(made.saved)}: {made.steps:,} steps", highlight=False, soft_wrap=True)
         out.print(f"  damaged at byte {made.offset:,}: {made.what}", highlight=False, soft_wrap=True)
-        gone = f"what came after step {made.last_step:,}" if made.cut else "no step, only the file's index"
-        out.print(f"  missing: {made.missing_bytes:,} bytes, {gone}", highlight=False, soft_wrap=True)
+        gone = f"all after step {made.last_step:,}" if made.cut else "no step, only the file's index"
+        left = f"the last {made.missing_bytes:,} bytes are left out"
+        out.print(f"  missing: {gone}; {left}", highlight=False, soft_wrap=True)
         out.print(f"  next: gym-open log replay {short(made.saved)}", highlight=False, soft_wrap=True)
