@@ -81,4 +81,4 @@ def _table(title: str, *columns: str) -> Table:
 
 def _loss(value: float | None, *, fresh: bool = False) -> str:
     """A loss, which is null in JSON of a fresh world, and of any without a world model."""
-    return f"{value:.2g}" if value is not None else "fresh" if fresh else "–"
+    return f"{value:.3g}" if value is not None else "fresh" if fresh else "–"
