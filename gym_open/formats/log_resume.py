@@ -5,10 +5,11 @@ it, message by message: a run that goes another way is found out.
 """
 
 from collections.abc import Iterator
+from contextlib import suppress
 from itertools import chain
 from pathlib import Path
 
-from gym_open.formats.log_container import Damage, read_contents, whole_chunks
+from gym_open.formats.log_container import Damage, Logged, chunks, read_contents, whole_chunks
 from gym_open.formats.log_parts import LogParts
 from gym_open.formats.log_schemas import LogError, LogHead, log_name
 from gym_open.formats.log_writer import ROLL_BYTES, LogWriter
@@ -29,9 +30,9 @@ def resume_writer(
     part, before = _kept(folder, head.stream, messages)
     old = _set_aside(folder, aside, head.stream, part)
     files = LogParts(folder, head, roll_bytes, part=part, messages=before)
-    chunks = chain.from_iterable(map(whole_chunks, old))
+    saved = _whole_chunks(old)
     try:
-        while files.messages < messages and (chunk := next(chunks, None)) is not None:
+        while files.messages < messages and (chunk := next(saved, None)) is not None:
             for message in chunk:
                 files.put(message)
             files.flush()
@@ -44,7 +45,7 @@ def resume_writer(
     except BaseException:
         files.abandon()
         raise
-    files.expected = chain.from_iterable(chunks)
+    files.expected = chain.from_iterable(saved)
     return LogWriter(folder, head, roll_bytes=roll_bytes, begun=files)
 
 
@@ -85,6 +86,13 @@ def _following(folder: Path, stream: int, part: int) -> Iterator[Path]:
     while (path := folder / log_name(stream, part)).is_file():
         yield path
         part += 1
+
+
+def _whole_chunks(paths: list[Path]) -> Iterator[list[Logged]]:
+    """Up to the first damage: what stands in a later file does not follow on that."""
+    with suppress(Damage):
+        for path in paths:
+            yield from chunks(path)
 
 
 def _messages(path: Path) -> int:

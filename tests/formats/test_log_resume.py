@@ -108,13 +108,12 @@ def test_files_that_lie_before_the_checkpoint_are_left_alone(
     run.kill(len(records) - 8, 1.0)
     before = {path.name: path.stat() for path in run.files()}
     unpacked = set[str]()
-    whole_chunks = log_container.whole_chunks
 
-    def noted(path: Path, *arguments: Any) -> Any:
+    def noted(path: Path) -> Any:
         unpacked.add(path.name)
-        return whole_chunks(path, *arguments)
+        return log_container.chunks(path)
 
-    monkeypatch.setattr("gym_open.formats.log_resume.whole_chunks", noted)
+    monkeypatch.setattr("gym_open.formats.log_resume.chunks", noted)
     run.finish()
     after = {path.name: path.stat() for path in run.files()}
     same = {name for name in before if before[name].st_ino == after[name].st_ino}
@@ -149,6 +148,19 @@ def test_killed_while_what_belongs_to_the_checkpoint_is_copied(
     with path.open("rb+") as file:
         file.truncate(left)
     assert run.finish() == never_killed[2**28]
+
+
+def test_what_follows_a_damaged_file_is_not_compared_with(
+    made_up: Any, records: list[Record], never_killed: Any, tmp_path: Path
+) -> None:
+    """It does not follow on what is whole."""
+    run = Run(tmp_path, made_up, records, 1)
+    run.kill(13, 1.0)
+    files = run.files()
+    assert len(files) > 3
+    with files[1].open("rb+") as file:
+        file.truncate(files[1].stat().st_size // 2)
+    assert run.finish() == never_killed[1]
 
 
 def test_a_resume_cut_short_between_two_files_is_done_again(
