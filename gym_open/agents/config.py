@@ -57,7 +57,7 @@ class CurlConfig(Config, frozen=True, kw_only=True):
     """Share of the query encoder that enters the key encoder at an update."""
     update_every: PositiveInt = 2
     """The key encoder is updated every so many gradient steps."""
-    loss_scale: PositiveFloat = 0.0008
+    loss_scale: PositiveFloat = 0.00067
     """What the loss of a world is multiplied by before the curriculum of exploration looks at it."""
 
 
