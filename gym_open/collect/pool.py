@@ -4,18 +4,18 @@ import math
 
 import numpy as np
 import torch
+import zstandard
 from torch import Tensor
 
 from gym_open import seeding
 from gym_open.agents.explorer import Explorer
 from gym_open.agents.world_model import Transitions
 from gym_open.collect.tally import Tally
+from gym_open.envs.constants import IMAGE_SIZE
 from gym_open.envs.puzzles import Puzzle
 from gym_open.envs.puzzles.generators import SandboxConfig, sample_puzzle
 from gym_open.envs.world import World
 from gym_open.errors import GymOpenError
-
-_FIELDS = ("obs", "actions", "next_obs")
 
 
 def sample_pool(size: int, sandbox: SandboxConfig, seed: int) -> tuple[Puzzle, ...]:
@@ -100,12 +100,14 @@ class Pool:
         return explorer.world_loss(transitions, torch.Generator().manual_seed(number))
 
     def tensors(self) -> dict[str, Tensor]:
-        """What was seen and how the worlds were left, by name."""
+        """What was seen and how the worlds were left, by name; pictures are packed, to a three-hundredth or so."""
         found = {f"left/{index}": torch.from_numpy(state) for index, state in self.left.items()}
         for index in range(len(self.puzzles)):
             transitions = self.transitions(index)
             if transitions is not None:
-                found |= {f"{name}/{index}": getattr(transitions, name) for name in _FIELDS}
+                found[f"obs/{index}"] = _packed(transitions.obs)
+                found[f"actions/{index}"] = transitions.actions
+                found[f"next_obs/{index}"] = _packed(transitions.next_obs)
         return found
 
     def load_tensors(self, tensors: dict[str, Tensor]) -> None:
@@ -114,4 +116,15 @@ class Pool:
             if f"left/{index}" in tensors:
                 self.left[index] = tensors[f"left/{index}"].numpy()
             if f"obs/{index}" in tensors:
-                self.see(index, *(tensors[f"{name}/{index}"].numpy() for name in _FIELDS))
+                obs, after = (_unpacked(tensors[f"{name}/{index}"]) for name in ("obs", "next_obs"))
+                self.see(index, obs, tensors[f"actions/{index}"].numpy(), after)
+
+
+def _packed(images: Tensor) -> Tensor:
+    """Zstandard's bytes of pictures (B, 84, 84, 3) uint8, as a tensor."""
+    return torch.frombuffer(bytearray(zstandard.compress(images.numpy().tobytes(), 1)), dtype=torch.uint8)
+
+
+def _unpacked(packed: Tensor) -> np.ndarray:
+    pictures = np.frombuffer(zstandard.decompress(packed.numpy().tobytes()), np.uint8)
+    return pictures.reshape(-1, IMAGE_SIZE, IMAGE_SIZE, 3)
