@@ -22,6 +22,8 @@ class LogRecipe(Config, frozen=True):
     lengths: Lengths
     seed: int
     threshold: float = 0.25
+    world_model: bool = True
+    """Without one, its losses are NaN."""
 
 
 def write_log(folder: Path, recipe: LogRecipe) -> dict[str, Any]:
@@ -57,11 +59,13 @@ def write_log(folder: Path, recipe: LogRecipe) -> dict[str, Any]:
                     touch = Contact("agent", "heavy_0", (0.1, 0.2, 0.3), (1.0, 0.0, 0.0), 2.5)
                     contacts = (touch, Contact("light_0", "heavy_0", (0, 0, 0), (0, 0, 1), 1.0))[: step % 3]
                     r, loss, entropy, value = rng.uniform(0.1, 1, size=4).tolist()
+                    loss = loss if recipe.world_model else np.nan
                     action = int(rng.integers(9))
                     log.step(StepRecord(step, index, i, action, state(), contacts, r, loss, entropy, value, picture()))
                     step += 1
                 target = -1 if last else (index + 1) % 3
-                log.switch(Switch(step, world, target, "budget" if last else "learned", [0.5, np.inf, 0.25]))
+                losses = [0.5, np.inf, 0.25] if recipe.world_model else [np.nan] * 3
+                log.switch(Switch(step, world, target, "budget" if last else "learned", losses))
     return {"task": "sandbox", "steps": sum(map(sum, recipe.lengths)), "puzzles": sorted(p.digest for p in puzzles)}
 
 
@@ -69,8 +73,8 @@ def write_log(folder: Path, recipe: LogRecipe) -> dict[str, Any]:
 def make_log(tmp_path_factory: pytest.TempPathFactory) -> MakeLog:
     """`make_log(lengths=((5, 7), (4,)), seed=0)` gives the folder of a fresh log artefact."""
 
-    def make(lengths: Lengths = ((5, 12, 3, 4), (6,)), seed: int = 0) -> Path:
-        recipe = LogRecipe(lengths=lengths, seed=seed)
+    def make(lengths: Lengths = ((5, 12, 3, 4), (6,)), seed: int = 0, *, world_model: bool = True) -> Path:
+        recipe = LogRecipe(lengths=lengths, seed=seed, world_model=world_model)
 
         def work(folder: Path) -> Mapping[str, Any]:
             return write_log(folder, recipe)

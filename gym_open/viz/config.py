@@ -7,7 +7,7 @@ class VizConfig(Config, frozen=True):
     """Anything that gym-open makes, as a Rerun recording.
 
     Thinned by one rule: of a stream of n steps every k-th is shown, k = ceil(n / limit), and every first step of a
-    segment. Reward, loss and other series are always whole.
+    segment, or of a piece of a long one. Reward, loss and other series are always whole.
     """
 
     max_images: PositiveInt = 2_000

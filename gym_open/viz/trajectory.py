@@ -137,12 +137,14 @@ def _log_switches(rec: rr.RecordingStream, stream: Stream) -> None:
 
 
 def describe(switch: Switch) -> str:
-    """A switch in words, with the losses that it was decided by."""
+    """A switch in words, with the losses that it was decided by, if there were any."""
     known = [(loss, world) for world, loss in enumerate(switch.world_losses) if math.isfinite(loss)]
     losses = ", ".join(f"{world}: {loss:.2g}" for loss, world in sorted(known, reverse=True))
     start = "begin" if switch.from_world < 0 else f"world {switch.from_world}"
     goal = "end" if switch.to_world < 0 else f"world {switch.to_world}"
-    unseen = len(switch.world_losses) - len(known)
+    unseen = sum(map(math.isinf, switch.world_losses))
+    if not known and not unseen:
+        return f"{start} → {goal} ({switch.reason}); no world model"
     return f"{start} → {goal} ({switch.reason}); losses {losses or 'none yet'}; {unseen} worlds never visited"
 
 

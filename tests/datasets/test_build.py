@@ -211,6 +211,16 @@ def test_data_files_roll_at_a_size(make_log: MakeLog, tmp_path: Path) -> None:
     assert rolled.column("index").tolist() == list(range(len(rolled)))
 
 
+def test_without_a_world_model_its_loss_is_no_number_and_left_out(make_log: MakeLog, tmp_path: Path) -> None:
+    log = make_log(lengths=((4, 7),), world_model=False)
+    random = open_release(build_release(CONFIG, log, tmp_path / "r").path)
+    assert np.isnan(random.column("world_model.loss")).all()
+    stats = json.loads((random.root / "meta/stats.json").read_text())
+    assert stats["world_model.loss"] == {"min": [0], "max": [0], "mean": [0], "std": [0], "count": [0]}
+    assert stats["reward.intrinsic"]["count"] == [len(random)]
+    assert all(np.isnan(losses).all() for losses in random.table("switches")["world_losses"][1:])
+
+
 def test_a_cut_log_leaves_no_release(make_log: MakeLog, tmp_path: Path) -> None:
     log = make_log(lengths=((4, 3),), seed=3)
     ((file,),) = log_files(log)

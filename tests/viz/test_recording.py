@@ -198,6 +198,28 @@ def test_pictures_are_thinned_by_the_stated_rule(log: Path, segments: list[Segme
     assert len(steps) == total
 
 
+def test_long_segments_are_drawn_in_pieces(
+    log: Path, segments: list[Segment], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gym_open.viz.spans._PIECE", 5)
+    drawn = Recording(visualize(VizConfig(), log, tmp_path / "pieces.rrd"))
+    test_series_are_the_logs(drawn, segments)
+    test_pictures_are_the_logs(drawn, segments)
+    test_the_world_lane_is_the_segments(drawn, segments)
+
+
+def test_a_loss_that_is_no_number_is_drawn_as_a_gap(make_log: MakeLog, tmp_path: Path) -> None:
+    drawn = Recording(visualize(VizConfig(), make_log(lengths=((4, 3),), world_model=False), tmp_path / "random.rrd"))
+    _, losses = drawn.column("/stream_0/series/world_model_loss", "Scalars:scalars")
+    assert np.isnan(np.ravel(losses)).tolist() == [True] * 7
+    _, texts = drawn.column("/stream_0/events", "TextLog:text")
+    assert [text[0] for text in texts] == [
+        "begin → world 0 (start); losses none yet; 3 worlds never visited",
+        "world 0 → world 1 (learned); no world model",
+        "world 1 → end (budget); no world model",
+    ]
+
+
 class Nothing(Config, frozen=True):
     """No settings."""
 
