@@ -1,9 +1,8 @@
 """Playing a log again: from every keyframe, the logged actions in a fresh simulation, compared with what was logged.
 
 A window is what lies between two keyframes. Each begins with the logged state, so that a difference in one does not
-make the next ones differ. Contacts let differences grow: of windows of random play that began one part in 10¹⁵ off, as
-another processor's rounding may have it, all stayed within 10⁻⁶ for 64 steps and within 10⁻³ for 128; of 256 steps,
-half ended with an object elsewhere.
+make the next ones differ. Contacts let differences grow: of 195 windows of random play that began one part in 10¹⁵ off,
+as another processor's rounding may have it, 99% stayed within 10⁻³ for 64 steps, 79% for 128 and 40% for 256.
 """
 
 from collections.abc import Iterator, Sequence
