@@ -208,6 +208,8 @@ def parse_head(contents: Contents) -> tuple[LogHead, int]:
     expected = {schemas.CONFIG, schemas.MODEL, schemas.POOL}
     if set(contents.attachments) != expected:
         raise ValueError(f"expected the attachments {sorted(expected)}, got {sorted(contents.attachments)}")
+    if (keyframe_every := int(head["keyframe_every"])) < 1:
+        raise ValueError(f"expected a keyframe every so many steps, got {keyframe_every}")
     pool = msgspec.json.decode(contents.attachments[schemas.POOL], type=list[msgspec.Raw])
     return LogHead(
         stream=int(head["stream"]),
@@ -216,7 +218,7 @@ def parse_head(contents: Contents) -> tuple[LogHead, int]:
         provenance=contents.metadata.get(schemas.PROVENANCE, {}),
         model_xml=contents.attachments[schemas.MODEL].decode(),
         reward_parts=msgspec.json.decode(head["reward_parts"], type=tuple[str, ...]),
-        keyframe_every=int(head["keyframe_every"]),
+        keyframe_every=keyframe_every,
     ), int(head["part"])
 
 

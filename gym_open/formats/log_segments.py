@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from gym_open.envs.constants import N_ACTIONS
 from gym_open.envs.puzzles import Puzzle
 from gym_open.formats import log_schemas as schemas
 from gym_open.formats.log_container import Logged
@@ -111,6 +112,8 @@ class _Piece:
                 f"the steps of segment {self.start.index} are not complete and in order: expected step {expected[1]} "
                 f"of it, got step {step.segment_step} of segment {step.segment}"
             )
+        if step.action >= N_ACTIONS:
+            raise ValueError(f"step {step.step} has the action {step.action}, expected 0 to {N_ACTIONS - 1}")
         if len(step.reward_parts) != parts:
             raise ValueError(
                 f"step {step.step} has {len(step.reward_parts)} parts of its reward, the log names {parts}"

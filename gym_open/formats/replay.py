@@ -21,6 +21,8 @@ from gym_open.formats.log_schemas import LogError, Segment
 
 Verdict = Literal["identical", "within tolerance", "diverged"]
 
+_PIECE = 256
+"""Steps of the log that are in memory at a time."""
 STRAY_PIXELS = 0.01
 """Share of the pixels of one picture that may differ where states are within tolerance: edges of what is a hair off."""
 
@@ -69,7 +71,7 @@ def replay(log: Log, tolerance: float) -> Iterator[Window]:
     `tolerance` and no picture in more than `STRAY_PIXELS` of its pixels; else it has *diverged*.
 
     Args:
-        log: opened by `open_log`; its pieces are read one keyframe's distance at a time.
+        log: opened by `open_log`.
         tolerance: how far a number may be off, in its unit.
 
     Raises:
@@ -77,7 +79,7 @@ def replay(log: Log, tolerance: float) -> Iterator[Window]:
         ArtefactError: if a state is none of this version's world.
     """
     player = _Player(log, tolerance)
-    for piece in log.segments(log.keyframe_every):
+    for piece in log.segments(_PIECE):
         yield from player.play(piece)
     yield from player.finish()
 

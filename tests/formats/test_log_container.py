@@ -189,7 +189,10 @@ def test_nonsense_in_an_attachment_is_refused(whole: Path, tmp_path: Path, name:
         open_log(path)
 
 
-@pytest.mark.parametrize("change", [{"stream": "two"}, {"part": ""}, {"keyframe_every": "x"}, {"reward_parts": "{}"}])
+@pytest.mark.parametrize(
+    "change",
+    [{"stream": "two"}, {"part": ""}, {"keyframe_every": "x"}, {"keyframe_every": "0"}, {"reward_parts": "{}"}],
+)
 def test_nonsense_in_the_head_is_refused(whole: Path, tmp_path: Path, change: dict[str, str]) -> None:
     with pytest.raises(LogError, match=r"x\.mcap: not a log of gym-open, or of another version"):
         open_log(rewritten(whole, tmp_path / "x.mcap", head=change))

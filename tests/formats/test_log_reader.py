@@ -271,6 +271,7 @@ def flawed(made: list[Record], flaw: Flaw) -> list[Record]:
         ),
         ((StepRecord, 2, {"step": 7}), "the steps of segment 0 are not complete and in order"),
         ((StepRecord, 2, {"segment": 1}), "got step 2 of segment 1"),
+        ((StepRecord, 2, {"action": 9}), "step 2 has the action 9, expected 0 to 8"),
     ],
 )
 def test_records_out_of_place_are_refused(made_up: Any, tmp_path: Path, flaw: Flaw, message: str) -> None:
