@@ -1,6 +1,6 @@
 """CDR, the byte encoding of ROS 2 messages, as far as logs need it: little-endian, values aligned to their size.
 
-`mcap-ros2-support` can do the same from the message text, one Python call a number; a step carries some 250 numbers,
+`mcap-ros2-support` can do the same from the message text, one Python call a number; a step carries some 430 numbers,
 so arrays go through NumPy here (ten times faster). The tests hold these bytes to that library's.
 """
 
