@@ -25,7 +25,7 @@ class LogInfo(Command):
 
     def run(self) -> None:
         """Read and print."""
-        from gym_open.formats.log_info import info_tables
+        from gym_open.formats.logs.info import info_tables
 
         for table in info_tables(self.log):
             out.print(table)
@@ -49,7 +49,7 @@ class LogReplay(Command):
 
     def run(self) -> None:
         """Replay, print, and fail if anything has diverged."""
-        from gym_open.formats.replay_report import replay_report
+        from gym_open.formats.logs.replay_report import replay_report
 
         report = replay_report(self.log, self.tolerance, self.streams)
         for table in report.tables:
@@ -75,7 +75,7 @@ class LogRepair(Command):
 
     def run(self) -> None:
         """Save it and say what is missing."""
-        from gym_open.formats.log_repair import repair
+        from gym_open.formats.logs.repair import repair
 
         made = repair(self.log)
         if made.saved is None:

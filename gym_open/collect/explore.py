@@ -27,9 +27,9 @@ from gym_open.config import to_dict
 from gym_open.envs.constants import IMAGE_SIZE, N_ACTIONS
 from gym_open.envs.physics.model import model_xml
 from gym_open.errors import ConfigError
-from gym_open.formats.log_resume import resume_writer
-from gym_open.formats.log_schemas import Ended
 from gym_open.formats.logs import LogHead, LogWriter, Switch
+from gym_open.formats.logs.resume import resume_writer
+from gym_open.formats.logs.schemas import Ended
 from gym_open.formats.models import save_encoder
 
 IMAGE_SHAPE = (IMAGE_SIZE, IMAGE_SIZE, 3)

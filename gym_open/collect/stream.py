@@ -9,8 +9,8 @@ from gym_open.collect.stuck import Watch, position
 from gym_open.envs.physics.contacts import Contact
 from gym_open.envs.physics.model import INVENTORY
 from gym_open.envs.world import World
-from gym_open.formats.log_schemas import Stuck
 from gym_open.formats.logs import LogWriter, SegmentStart, StepRecord, Switch
+from gym_open.formats.logs.schemas import Stuck
 
 
 class Place(msgspec.Struct):

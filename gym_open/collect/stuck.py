@@ -15,7 +15,7 @@ import numpy as np
 
 from gym_open.envs.constants import RADIUS, RECTANGLE_LENGTH, WALL_X, WALL_Y
 from gym_open.envs.physics.model import INVENTORY, kind_of
-from gym_open.formats.log_schemas import Stuck
+from gym_open.formats.logs.schemas import Stuck
 
 REACH_M = 0.02
 AGENT_PUSHES = 32

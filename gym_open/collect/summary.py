@@ -11,7 +11,7 @@ from gym_open.collect.config import CollectConfig
 from gym_open.collect.tally import STUCK, TOUCHED, Tally
 from gym_open.envs.constants import COLUMNS, ROWS
 from gym_open.envs.puzzles import Puzzle
-from gym_open.formats.log_schemas import Ended
+from gym_open.formats.logs.schemas import Ended
 
 CURVE = ["step", "world_model_loss", "world_loss", "intrinsic_reward", "policy_entropy"]
 """Columns of the curve, one row a rollout: steps of all streams so far, then the world model's loss in the update and

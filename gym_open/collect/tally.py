@@ -6,7 +6,7 @@ import msgspec
 
 from gym_open.envs.constants import CELL_0, COLUMNS, PITCH, ROWS
 from gym_open.envs.physics.contacts import Contact
-from gym_open.formats.log_schemas import Stuck
+from gym_open.formats.logs.schemas import Stuck
 
 TOUCHED = ("yellow", "green", "heavy", "light", "push", "rectangle", "cone", "wall", "corner", "pen", "ramp")
 """What the agent can touch: kinds of objects, then of scenery; kinds that it never touched are counted as 0."""

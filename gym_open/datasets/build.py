@@ -23,8 +23,8 @@ from gym_open.formats.pictures import workers
 from gym_open.formats.releases import IMAGE
 
 if TYPE_CHECKING:
-    from gym_open.formats.log_reader import Log
-    from gym_open.formats.log_schemas import Segment
+    from gym_open.formats.logs.reader import Log
+    from gym_open.formats.logs.schemas import Segment
 
 SPLITS: tuple[Split, ...] = ("train", "val")
 
@@ -43,7 +43,7 @@ def build_release(config: ReleaseConfig, logs: Path, out: Path) -> artefacts.Out
         ArtefactError: if a log is missing, damaged, empty, or not of free play in the sandbox (naming the file); no
             release is left behind.
     """
-    from gym_open.formats.log_reader import open_logs
+    from gym_open.formats.logs.reader import open_logs
 
     def work(folder: Path) -> Mapping[str, Any]:
         if (kind := artefacts.lineage(logs).kind) != "log":

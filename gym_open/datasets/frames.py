@@ -18,7 +18,7 @@ from gym_open.envs.constants import N_ACTIONS
 from gym_open.formats.pictures import encode_png
 
 if TYPE_CHECKING:
-    from gym_open.formats.log_schemas import Segment
+    from gym_open.formats.logs.schemas import Segment
 
 LENGTH_CAP = "length_cap"
 """`ended` of an episode that was cut for its length; the next episode goes on from its last observation."""

@@ -7,7 +7,7 @@ from gym_open import seeding
 from gym_open.datasets.config import ReleaseConfig
 
 if TYPE_CHECKING:
-    from gym_open.formats.log_reader import Log
+    from gym_open.formats.logs.reader import Log
 
 Split = Literal["train", "val"]
 

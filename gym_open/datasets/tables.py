@@ -13,8 +13,8 @@ from gym_open.datasets.splits import split_of
 from gym_open.formats.releases import Table
 
 if TYPE_CHECKING:
-    from gym_open.formats.log_reader import Log
-    from gym_open.formats.log_schemas import Segment
+    from gym_open.formats.logs.reader import Log
+    from gym_open.formats.logs.schemas import Segment
 
 _I, _S, _B, _D = pa.int64(), pa.string(), pa.bool_(), pa.list_(pa.float64())
 SCHEMAS: dict[Table, pa.Schema] = {

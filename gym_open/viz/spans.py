@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 
 from gym_open.envs.puzzles import Puzzle
-from gym_open.formats.log_reader import Log, open_log, open_logs
-from gym_open.formats.log_schemas import Segment, Switch
+from gym_open.formats.logs.reader import Log, open_log, open_logs
+from gym_open.formats.logs.schemas import Segment, Switch
 from gym_open.formats.pictures import encode_png
 from gym_open.formats.releases import Release, open_release
 

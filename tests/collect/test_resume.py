@@ -21,8 +21,8 @@ from gym_open.collect import explore
 from gym_open.collect.config import CollectConfig, RuleName
 from gym_open.collect.explore import collect
 from gym_open.collect.pool import Pool
-from gym_open.formats.log_container import Logged, whole_chunks
 from gym_open.formats.logs import LogError, log_files
+from gym_open.formats.logs.container import Logged, whole_chunks
 
 pytestmark = pytest.mark.usefixtures("scripted")
 

@@ -18,8 +18,8 @@ from gym_open.datasets import Release, open_release
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.errors import ArtefactError
-from gym_open.formats.log_reader import log_files, open_logs
-from gym_open.formats.log_schemas import Segment
+from gym_open.formats.logs.reader import log_files, open_logs
+from gym_open.formats.logs.schemas import Segment
 
 MakeLog = Callable[..., Path]
 CONFIG = ReleaseConfig(max_episode_steps=5, val_fraction=0.34)

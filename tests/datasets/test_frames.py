@@ -10,7 +10,7 @@ from gym_open.datasets.features import features
 from gym_open.datasets.frames import numbers
 from gym_open.datasets.statistics import Moments, PictureMoments
 from gym_open.envs.puzzles.generators import sample_puzzle
-from gym_open.formats.log_schemas import Segment
+from gym_open.formats.logs.schemas import Segment
 from gym_open.formats.pictures import decode_png, encode_png
 
 NAMES = ("agent", "yellow_0")

@@ -16,8 +16,8 @@ from gym_open.config import Config
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.errors import ArtefactError, UsageError
-from gym_open.formats.log_reader import log_files, open_logs
-from gym_open.formats.log_schemas import Segment
+from gym_open.formats.logs.reader import log_files, open_logs
+from gym_open.formats.logs.schemas import Segment
 from gym_open.formats.pictures import decode_png
 from gym_open.viz.config import VizConfig
 from gym_open.viz.recording import visualize

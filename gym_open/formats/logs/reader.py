@@ -9,9 +9,9 @@ import msgspec
 
 from gym_open.envs.puzzles import Puzzle
 from gym_open.errors import ArtefactError, GymOpenError, UsageError
-from gym_open.formats import log_schemas as schemas
-from gym_open.formats.log_cdr import CdrReader
-from gym_open.formats.log_container import (
+from gym_open.formats.logs import schemas
+from gym_open.formats.logs.cdr import CdrReader
+from gym_open.formats.logs.container import (
     Contents,
     Damage,
     Logged,
@@ -20,9 +20,9 @@ from gym_open.formats.log_container import (
     read_head,
     whole_chunks,
 )
-from gym_open.formats.log_messages import decode_stuck, decode_switch
-from gym_open.formats.log_schemas import LogError, LogHead, Segment, Stuck, Switch, log_name
-from gym_open.formats.log_segments import decode_record, groups, segments
+from gym_open.formats.logs.messages import decode_stuck, decode_switch
+from gym_open.formats.logs.schemas import LogError, LogHead, Segment, Stuck, Switch, log_name
+from gym_open.formats.logs.segments import decode_record, groups, segments
 
 REMEDY = (
     "restore the file from a copy, run the `gym-open collect` command that wrote it again (it goes on), or save what "

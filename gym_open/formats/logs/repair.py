@@ -11,14 +11,14 @@ import numpy as np
 
 from gym_open import progress
 from gym_open.errors import GymOpenError
-from gym_open.formats import log_schemas as schemas
-from gym_open.formats.log_cdr import CdrReader
-from gym_open.formats.log_container import Damage, Logged, first_number, read_head, scan, whole_chunks
-from gym_open.formats.log_messages import PIXELS, decode_switch
-from gym_open.formats.log_parts import LogParts
-from gym_open.formats.log_reader import open_log, parse_head
-from gym_open.formats.log_schemas import LogError, LogHead, SegmentStart, Switch, log_name
-from gym_open.formats.log_segments import decode_record, groups
+from gym_open.formats.logs import schemas
+from gym_open.formats.logs.cdr import CdrReader
+from gym_open.formats.logs.container import Damage, Logged, first_number, read_head, scan, whole_chunks
+from gym_open.formats.logs.messages import PIXELS, decode_switch
+from gym_open.formats.logs.parts import LogParts
+from gym_open.formats.logs.reader import open_log, parse_head
+from gym_open.formats.logs.schemas import LogError, LogHead, SegmentStart, Switch, log_name
+from gym_open.formats.logs.segments import decode_record, groups
 
 _NO_LIMIT = sys.maxsize
 """Bytes at which a file would roll: a repaired one does not."""

@@ -6,10 +6,17 @@ import numpy as np
 
 from gym_open.envs.constants import N_ACTIONS
 from gym_open.envs.puzzles import Puzzle
-from gym_open.formats import log_schemas as schemas
-from gym_open.formats.log_container import Logged
-from gym_open.formats.log_messages import PIXELS, decode_image, decode_segment, decode_step, decode_stuck, decode_switch
-from gym_open.formats.log_schemas import Ended, Keyframe, Record, Segment, SegmentStart, StepRecord, Switch
+from gym_open.formats.logs import schemas
+from gym_open.formats.logs.container import Logged
+from gym_open.formats.logs.messages import (
+    PIXELS,
+    decode_image,
+    decode_segment,
+    decode_step,
+    decode_stuck,
+    decode_switch,
+)
+from gym_open.formats.logs.schemas import Ended, Keyframe, Record, Segment, SegmentStart, StepRecord, Switch
 
 _HEADS = {schemas.SEGMENT, schemas.STEP, schemas.SWITCH, schemas.STUCK}
 

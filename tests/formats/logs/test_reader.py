@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gym_open.errors import ArtefactError, UsageError
-from gym_open.formats.log_reader import Log, log_files, open_log, open_logs
-from gym_open.formats.log_schemas import (
+from gym_open.formats.logs.reader import Log, log_files, open_log, open_logs
+from gym_open.formats.logs.schemas import (
     METRIC_NAMES,
     LogError,
     Record,

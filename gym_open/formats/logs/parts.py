@@ -8,11 +8,11 @@ from pathlib import Path
 import msgspec
 
 from gym_open.artefacts import canonical_json
-from gym_open.formats import log_schemas as schemas
-from gym_open.formats.log_container import Logged
-from gym_open.formats.log_mcap import McapWriter
-from gym_open.formats.log_messages import messages_of
-from gym_open.formats.log_schemas import LogError, LogHead, Record, SegmentStart
+from gym_open.formats.logs import schemas
+from gym_open.formats.logs.container import Logged
+from gym_open.formats.logs.mcap import McapWriter
+from gym_open.formats.logs.messages import messages_of
+from gym_open.formats.logs.schemas import LogError, LogHead, Record, SegmentStart
 
 
 class LogParts:

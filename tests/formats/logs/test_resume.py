@@ -12,10 +12,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gym_open.formats import log_container
-from gym_open.formats.log_resume import resume_writer
-from gym_open.formats.log_schemas import LogError, Record, SegmentStart
-from gym_open.formats.log_writer import LogWriter
+from gym_open.formats.logs import container as log_container
+from gym_open.formats.logs.resume import resume_writer
+from gym_open.formats.logs.schemas import LogError, Record, SegmentStart
+from gym_open.formats.logs.writer import LogWriter
 
 ROLLS = [1, 20_000, 2**28]
 """A file for every keyframe, some files, one file."""
@@ -113,7 +113,7 @@ def test_files_that_lie_before_the_checkpoint_are_left_alone(
         unpacked.add(path.name)
         return log_container.chunks(path)
 
-    monkeypatch.setattr("gym_open.formats.log_resume.chunks", noted)
+    monkeypatch.setattr("gym_open.formats.logs.resume.chunks", noted)
     run.finish()
     after = {path.name: path.stat() for path in run.files()}
     same = {name for name in before if before[name].st_ino == after[name].st_ino}

@@ -1,13 +1,13 @@
 """Logs of exploration, in MCAP: the front door to writing and reading them.
 
 The layout is in docs/data-format.md. `LogWriter` writes, `resume_writer` goes on where a killed one left off,
-`open_log` checks and reads; the other modules named `log_*` are how they do it: the container, the messages, the
-encoding.
+`open_log` checks and reads; most other modules are how they do it: the container, the messages, the encoding. `replay`,
+`info` and `repair` are what the `gym-open log` commands do.
 """
 
-from gym_open.formats.log_reader import Log, log_files, open_log, open_logs
-from gym_open.formats.log_resume import resume_writer
-from gym_open.formats.log_schemas import (
+from gym_open.formats.logs.reader import Log, log_files, open_log, open_logs
+from gym_open.formats.logs.resume import resume_writer
+from gym_open.formats.logs.schemas import (
     Keyframe,
     LogError,
     LogHead,
@@ -18,7 +18,7 @@ from gym_open.formats.log_schemas import (
     Switch,
     log_name,
 )
-from gym_open.formats.log_writer import LogWriter
+from gym_open.formats.logs.writer import LogWriter
 
 __all__ = [
     "Keyframe",

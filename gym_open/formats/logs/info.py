@@ -10,11 +10,11 @@ from rich.table import Table
 
 from gym_open import progress
 from gym_open.errors import GymOpenError
-from gym_open.formats import log_schemas as schemas
-from gym_open.formats.log_container import Damage, Logged, read_head, scan, whole_chunks
-from gym_open.formats.log_messages import decode_segment, decode_stuck, decode_switch
-from gym_open.formats.log_reader import LogFile, found_files, parse_head
-from gym_open.formats.log_schemas import LogError, LogHead, Stuck, Switch
+from gym_open.formats.logs import schemas
+from gym_open.formats.logs.container import Damage, Logged, read_head, scan, whole_chunks
+from gym_open.formats.logs.messages import decode_segment, decode_stuck, decode_switch
+from gym_open.formats.logs.reader import LogFile, found_files, parse_head
+from gym_open.formats.logs.schemas import LogError, LogHead, Stuck, Switch
 
 _NO_PICTURE = np.empty(0)
 

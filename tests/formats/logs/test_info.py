@@ -10,10 +10,10 @@ import pytest
 
 from gym_open.cli import main
 from gym_open.errors import ArtefactError
-from gym_open.formats import log_schemas as schemas
-from gym_open.formats.log_container import read_contents
-from gym_open.formats.log_info import info_tables, inspect
-from gym_open.formats.log_schemas import LogError, SegmentStart, StepRecord, Stuck, Switch
+from gym_open.formats.logs import schemas
+from gym_open.formats.logs.container import read_contents
+from gym_open.formats.logs.info import info_tables, inspect
+from gym_open.formats.logs.schemas import LogError, SegmentStart, StepRecord, Stuck, Switch
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,8 @@ from threading import Thread
 from types import TracebackType
 from typing import NamedTuple, Self
 
-from gym_open.formats.log_parts import LogParts
-from gym_open.formats.log_schemas import LogHead, Record, SegmentStart, StepRecord, Stuck, Switch
+from gym_open.formats.logs.parts import LogParts
+from gym_open.formats.logs.schemas import LogHead, Record, SegmentStart, StepRecord, Stuck, Switch
 
 ROLL_BYTES = 256 * 2**20
 """A file is followed by another when it has this many bytes, or somewhat more: at the next keyframe."""
@@ -42,7 +42,7 @@ class LogWriter:
     def __init__(
         self, folder: Path, head: LogHead, *, roll_bytes: int = ROLL_BYTES, begun: LogParts | None = None
     ) -> None:
-        """With `begun`, go on with files that were begun before: see `log_resume`."""
+        """With `begun`, go on with files that were begun before: see `resume`."""
         self._files = begun or LogParts(folder, head, roll_bytes)
         self._reward_parts = head.reward_parts
         self._records: list[Record] = []

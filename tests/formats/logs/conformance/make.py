@@ -1,6 +1,6 @@
 """Makes the conformance pair: `small.mcap`, a log with a message of every kind, and `small.json`, what is in it.
 
-    python tests/formats/conformance/make.py
+    python tests/formats/logs/conformance/make.py
 
 The log is made up, so that it changes with the format alone and not with physics. The JSON is read from it by other
 libraries than ours: mcap and mcap-ros2-support. In it bytes are their SHA-256, and what JSON has no number for is
@@ -19,8 +19,8 @@ from mcap_ros2.decoder import DecoderFactory
 
 from gym_open.envs.physics.contacts import Contact
 from gym_open.envs.puzzles import Placement, Puzzle, arranged
-from gym_open.formats.log_schemas import LogHead, SegmentStart, StepRecord, Stuck, Switch
-from gym_open.formats.log_writer import LogWriter
+from gym_open.formats.logs.schemas import LogHead, SegmentStart, StepRecord, Stuck, Switch
+from gym_open.formats.logs.writer import LogWriter
 
 NAMES = ("agent", "yellow_0", "heavy_0")
 POOL = tuple(

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gym_open.formats import log_schemas
 from gym_open.formats.logs import open_log
+from gym_open.formats.logs import schemas as log_schemas
 
 PAIR = Path(__file__).parent / "conformance"
 PACKAGES = ("@mcap/core@2.2.2", "@foxglove/rosmsg@5.0.5", "@foxglove/rosmsg2-serialization@3.1.0", "fzstd@0.1.1")

@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 from mcap_ros2._dynamic import serialize_dynamic
 
 from gym_open.envs.physics.contacts import Contact
-from gym_open.formats import log_messages as messages
-from gym_open.formats import log_schemas as schemas
-from gym_open.formats.log_schemas import Record, SegmentStart, StepRecord, Stuck, Switch
+from gym_open.formats.logs import messages, schemas
+from gym_open.formats.logs.schemas import Record, SegmentStart, StepRecord, Stuck, Switch
 
 PARTS = ("forward", "inverse")
 

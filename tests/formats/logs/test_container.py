@@ -16,10 +16,11 @@ from mcap.opcode import Opcode
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import CompressionType, Writer
 
-from gym_open.formats import log_container, log_schemas
-from gym_open.formats.log_container import Logged, read_contents, whole_chunks
-from gym_open.formats.log_reader import open_log
-from gym_open.formats.log_schemas import LogError
+from gym_open.formats.logs import container as log_container
+from gym_open.formats.logs import schemas as log_schemas
+from gym_open.formats.logs.container import Logged, read_contents, whole_chunks
+from gym_open.formats.logs.reader import open_log
+from gym_open.formats.logs.schemas import LogError
 
 FIXTURES = [HealthCheck.function_scoped_fixture]
 

@@ -10,8 +10,9 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_ros2.decoder import DecoderFactory
 
-from gym_open.formats import log_mcap, log_schemas
-from gym_open.formats.log_mcap import McapWriter
+from gym_open.formats.logs import mcap as log_mcap
+from gym_open.formats.logs import schemas as log_schemas
+from gym_open.formats.logs.mcap import McapWriter
 
 TOPICS = {"/a": ("p/msg/A", "int32 a"), "/b": ("p/msg/B", "int32 b"), "/c": ("p/msg/A", "int32 a")}
 MESSAGES = st.lists(

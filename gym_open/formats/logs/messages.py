@@ -14,9 +14,9 @@ import numpy as np
 from gym_open.envs.constants import IMAGE_SIZE
 from gym_open.envs.physics.contacts import Contact
 from gym_open.envs.puzzles import Puzzle
-from gym_open.formats.log_cdr import ENCAPSULATION, CdrReader, CdrWriter
-from gym_open.formats.log_container import Logged
-from gym_open.formats.log_schemas import (
+from gym_open.formats.logs.cdr import ENCAPSULATION, CdrReader, CdrWriter
+from gym_open.formats.logs.container import Logged
+from gym_open.formats.logs.schemas import (
     DEPTH,
     EVENTS,
     IMAGE,

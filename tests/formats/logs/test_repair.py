@@ -16,12 +16,13 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from gym_open.formats import log_mcap, log_repair
-from gym_open.formats.log_container import read_contents
-from gym_open.formats.log_parts import LogParts
-from gym_open.formats.log_reader import open_log
-from gym_open.formats.log_repair import Repair, repair
-from gym_open.formats.log_schemas import IMAGE, METRICS, SEGMENTATION, STEP, LogError, Segment, Switch
+from gym_open.formats.logs import mcap as log_mcap
+from gym_open.formats.logs import repair as log_repair
+from gym_open.formats.logs.container import read_contents
+from gym_open.formats.logs.parts import LogParts
+from gym_open.formats.logs.reader import open_log
+from gym_open.formats.logs.repair import Repair, repair
+from gym_open.formats.logs.schemas import IMAGE, METRICS, SEGMENTATION, STEP, LogError, Segment, Switch
 
 FIXTURES = [HealthCheck.function_scoped_fixture]
 

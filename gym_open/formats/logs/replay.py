@@ -16,8 +16,8 @@ from gym_open.envs.physics.model import model_xml
 from gym_open.envs.tasks import rewarded
 from gym_open.envs.world import World
 from gym_open.errors import ArtefactError
-from gym_open.formats.log_reader import Log
-from gym_open.formats.log_schemas import LogError, Segment
+from gym_open.formats.logs.reader import Log
+from gym_open.formats.logs.schemas import LogError, Segment
 
 Verdict = Literal["identical", "within tolerance", "diverged"]
 

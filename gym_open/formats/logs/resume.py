@@ -9,10 +9,10 @@ from contextlib import suppress
 from itertools import chain
 from pathlib import Path
 
-from gym_open.formats.log_container import Damage, Logged, chunks, read_contents, whole_chunks
-from gym_open.formats.log_parts import LogParts
-from gym_open.formats.log_schemas import LogError, LogHead, log_name
-from gym_open.formats.log_writer import ROLL_BYTES, LogWriter
+from gym_open.formats.logs.container import Damage, Logged, chunks, read_contents, whole_chunks
+from gym_open.formats.logs.parts import LogParts
+from gym_open.formats.logs.schemas import LogError, LogHead, log_name
+from gym_open.formats.logs.writer import ROLL_BYTES, LogWriter
 
 
 def resume_writer(

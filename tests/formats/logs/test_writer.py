@@ -12,12 +12,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from gym_open.formats import log_mcap, log_parts, log_schemas, log_writer
-from gym_open.formats.log_container import Logged, read_contents, whole_chunks
-from gym_open.formats.log_messages import messages_of
-from gym_open.formats.log_resume import resume_writer
-from gym_open.formats.log_schemas import LogError, Record, SegmentStart, StepRecord
-from gym_open.formats.log_writer import LogWriter
+from gym_open.formats.logs import mcap as log_mcap
+from gym_open.formats.logs import parts as log_parts
+from gym_open.formats.logs import schemas as log_schemas
+from gym_open.formats.logs import writer as log_writer
+from gym_open.formats.logs.container import Logged, read_contents, whole_chunks
+from gym_open.formats.logs.messages import messages_of
+from gym_open.formats.logs.resume import resume_writer
+from gym_open.formats.logs.schemas import LogError, Record, SegmentStart, StepRecord
+from gym_open.formats.logs.writer import LogWriter
 
 
 def read(paths: list[Path]) -> list[Logged]:

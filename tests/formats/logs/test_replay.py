@@ -17,11 +17,11 @@ from gym_open.envs.puzzles.sets import puzzle_by_id
 from gym_open.envs.puzzles.witnesses import witness_of
 from gym_open.envs.world import World
 from gym_open.errors import ArtefactError, UsageError
-from gym_open.formats.log_reader import Log, log_files, open_log, open_logs
-from gym_open.formats.log_schemas import LogError, LogHead, Record, SegmentStart, StepRecord, Switch
-from gym_open.formats.log_writer import LogWriter
-from gym_open.formats.replay import Window, contact_error, replay, same_model
-from gym_open.formats.replay_report import replay_report
+from gym_open.formats.logs.reader import Log, log_files, open_log, open_logs
+from gym_open.formats.logs.replay import Window, contact_error, replay, same_model
+from gym_open.formats.logs.replay_report import replay_report
+from gym_open.formats.logs.schemas import LogError, LogHead, Record, SegmentStart, StepRecord, Switch
+from gym_open.formats.logs.writer import LogWriter
 
 EVERY = 16
 TOLERANCE = 1e-3

@@ -1,6 +1,6 @@
 """What a log holds: its record types, and the topics and ROS 2 definitions of the messages that carry them.
 
-`log_messages` turns records into messages and back; docs/data-format.md has the layout of a file.
+`messages` turns records into messages and back; docs/data-format.md has the layout of a file.
 """
 
 from typing import Any, Literal

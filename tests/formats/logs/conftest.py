@@ -7,8 +7,8 @@ import pytest
 
 from gym_open.envs.physics.contacts import Contact
 from gym_open.envs.puzzles import Placement, Puzzle, arranged
-from gym_open.formats.log_schemas import Ended, LogHead, Record, SegmentStart, StepRecord, Stuck, Switch
-from gym_open.formats.log_writer import LogWriter
+from gym_open.formats.logs.schemas import Ended, LogHead, Record, SegmentStart, StepRecord, Stuck, Switch
+from gym_open.formats.logs.writer import LogWriter
 
 NAMES = ("agent", "yellow_0", "heavy_0")
 POOL = tuple(

@@ -8,8 +8,8 @@ from rich.table import Table
 
 from gym_open import progress
 from gym_open.errors import UsageError
-from gym_open.formats.log_reader import Log, open_log, open_logs
-from gym_open.formats.replay import Verdict, Window, replay, same_model
+from gym_open.formats.logs.reader import Log, open_log, open_logs
+from gym_open.formats.logs.replay import Verdict, Window, replay, same_model
 
 SHOWN = 12
 """Windows that are listed at most."""
