@@ -18,8 +18,8 @@ class CurriculumConfig(Config, frozen=True, kw_only=True):
     for the one whose loss changed most since the last decision. `never` stays."""
     threshold: NonNegativeFloat = 0.001
     """A world is learned when its scaled loss is under this: the paper's figure; collect/README.md has the scales."""
-    window: PositiveInt = 2
-    """Rollouts over which the loss of the world being played in is averaged."""
+    window: PositiveInt = 4
+    """Rollouts over which the loss of the world being played in is averaged; it is not learned before that many."""
     interval: PositiveInt = 2048
     """Steps in a world between two decisions of `interval`, `uniform` and `progress`, up to whole rollouts."""
 

@@ -11,12 +11,13 @@ The *loss of a world*, in one place:
 - of a world never visited: infinite, so fresh worlds come first, the lowest index before the others;
 - of a world left behind: the world model's loss, with its weights of now, on the last transitions kept of the world,
   times the model's scale, so that one threshold serves all models;
-- of a world being played in: the same, averaged over the last few rollouts since it was entered;
+- of a world being played in: the same, averaged over the last `window` rollouts, or those since it was entered;
 - of any world, for an explorer without a world model: not a number.
 
 Probing a world costs no interaction: nothing is played for it.
 
-A world is *learned* when its loss is under the threshold. With several streams a world holds at most one of them, and
+A world is *learned* when its loss is under the threshold; one being played in, not before the window is full: a model
+soon knows the few pictures of a first rollout by heart. With several streams a world holds at most one of them, and
 streams decide in turn: one whose world is learned while all unlearned ones are taken stays until one is free. One
 stream is the paper's rule.
 

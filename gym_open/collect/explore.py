@@ -21,7 +21,7 @@ from gym_open.collect.config import CollectConfig
 from gym_open.collect.curriculum import RULES, Situation, smoothed
 from gym_open.collect.figure import draw_summary
 from gym_open.collect.pool import Pool, sample_pool
-from gym_open.collect.stream import Figures, Played, Stream
+from gym_open.collect.stream import Figures, Place, Played, Stream
 from gym_open.collect.summary import Record, SegmentRecord, summarise
 from gym_open.config import to_dict
 from gym_open.envs.constants import IMAGE_SIZE, N_ACTIONS
@@ -203,11 +203,7 @@ class Exploration:
 
     def _decide(self) -> None:
         """Let the curriculum decide for each stream in turn."""
-        due = [
-            stream
-            for stream in self.streams
-            if self.rule.due(smoothed(stream.place.recent), stream.place.segment_step - stream.place.decided)
-        ]
+        due = [stream for stream in self.streams if self._due(stream.place)]
         if not due:
             return  # spares the losses of the worlds that nobody is in
         record, losses = self.record, self._all_losses()
@@ -225,6 +221,12 @@ class Exploration:
             else:
                 self._go(stream, decision.world, decision.kind, losses)
         record.last_losses = losses
+
+    def _due(self, place: Place) -> bool:
+        """Whether the curriculum has something to decide for the stream that is there."""
+        measured = len(place.recent) == self.config.curriculum.window
+        loss = smoothed(place.recent) if measured else math.inf  # one low figure is no mean of several
+        return self.rule.due(loss, place.segment_step - place.decided)
 
     def _all_losses(self) -> list[float]:
         """Loss of every world of the pool, as the curriculum defines it."""

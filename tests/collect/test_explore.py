@@ -220,14 +220,17 @@ def test_another_seed_is_another_log(tiny: CollectConfig, made: Path, tmp_path: 
 
 
 @pytest.mark.usefixtures("no_picture")
-@pytest.mark.parametrize("streams", [1, 2])
-def test_an_endless_threshold_ends_it_when_all_is_learned(tiny: CollectConfig, tmp_path: Path, streams: int) -> None:
-    """Everything counts as learned, so every world is looked at for one rollout and then there is none left."""
-    log = collect(changed(tiny, streams=streams, curriculum={"threshold": 1e6}), tmp_path / "log").path
+@pytest.mark.parametrize(("streams", "window"), [(1, 1), (2, 1), (2, 3)])
+def test_an_endless_threshold_ends_it_when_all_is_learned(
+    tiny: CollectConfig, tmp_path: Path, streams: int, window: int
+) -> None:
+    """Everything counts as learned, so every world is looked at for a window of rollouts and then there is none left."""
+    config = changed(tiny, streams=streams, curriculum={"threshold": 1e6, "window": window})
+    log = collect(config, tmp_path / "log").path
     found = summary(log)
     assert found["ended"] == "exhausted"
     assert [row["visits"] for row in found["worlds"]] == [1, 1, 1, 1]
-    assert found["steps"] == 4 * 8
+    assert found["steps"] == 4 * 8 * window
     for stream, one in enumerate(opened(log)):
         assert [switch.to_world for switch in one.switches] == [*range(stream, 4, streams), -1]
         assert {switch.reason for switch in one.switches} == {"start", "learned", "exhausted"}
