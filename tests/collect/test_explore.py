@@ -224,7 +224,7 @@ def test_another_seed_is_another_log(tiny: CollectConfig, made: Path, tmp_path: 
 def test_an_endless_threshold_ends_it_when_all_is_learned(
     tiny: CollectConfig, tmp_path: Path, streams: int, window: int
 ) -> None:
-    """Everything counts as learned, so every world is looked at for a window of rollouts and then there is none left."""
+    """Everything counts as learned, so every world is looked at for a window of rollouts; then none is left."""
     config = changed(tiny, streams=streams, curriculum={"threshold": 1e6, "window": window})
     log = collect(config, tmp_path / "log").path
     found = summary(log)
