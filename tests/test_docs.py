@@ -56,10 +56,7 @@ def test_the_readmes_environment_example_runs() -> None:
     assert names["image"].shape == (84, 84, 3)  # type: ignore[attr-defined]
 
 
-def test_the_explorer_that_the_docs_add_is_another_one(tmp_path: Path) -> None:
+def test_the_explorer_that_the_docs_add_is_one(tmp_path: Path) -> None:
     [text] = re.findall(r"```toml\n(.*?)```", (ROOT / "docs/explorers.md").read_text(), re.S)
     (tmp_path / "curl.toml").write_text(text)
-    others = [load(path, CollectConfig).explorer.name for path in (ROOT / "collect").glob("*.toml")]
-    assert len(others) == 7
     assert load(tmp_path / "curl.toml", CollectConfig).explorer.name == "curl"
-    assert "curl" not in others

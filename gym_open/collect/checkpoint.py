@@ -10,6 +10,7 @@ from torch import Tensor
 from gym_open.collect.stream import Place
 from gym_open.collect.summary import Record
 from gym_open.collect.tally import Tally
+from gym_open.errors import ArtefactError
 from gym_open.formats.checkpoints import (
     load_checkpoint,
     load_optimizer,
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from gym_open.collect.explore import Exploration
 
 NAME = "state.safetensors"
+_META = "meta"
 
 
 class _Meta(msgspec.Struct):
@@ -63,7 +65,9 @@ def save(path: Path, run: "Exploration") -> None:
         **prefixed("pool", run.pool.tensors()),
         **prefixed("live", live),
     }
-    save_checkpoint(path, tensors, msgspec.to_builtins(meta))
+    # A tensor, since the header that JSON would go into holds 100 MB at most, and the curve grows with every rollout.
+    tensors[_META] = torch.frombuffer(bytearray(msgspec.msgpack.encode(meta)), dtype=torch.uint8)
+    save_checkpoint(path, tensors, {})
 
 
 def load(path: Path) -> Saved | None:
@@ -74,8 +78,11 @@ def load(path: Path) -> Saved | None:
     """
     if not path.is_file():
         return None
-    tensors, meta = load_checkpoint(path)
-    return Saved(tensors, msgspec.convert(meta, _Meta))
+    tensors, _ = load_checkpoint(path)
+    try:
+        return Saved(tensors, msgspec.msgpack.decode(tensors[_META].numpy().tobytes(), type=_Meta))
+    except (KeyError, msgspec.DecodeError) as error:
+        raise ArtefactError(f"{path}: no checkpoint of a run ({error}); remove its folder to start over") from None
 
 
 def restore(saved: Saved, run: "Exploration") -> None:

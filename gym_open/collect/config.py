@@ -1,6 +1,8 @@
 """Configuration of exploration."""
 
-from typing import Literal
+from typing import Annotated, Literal
+
+from msgspec import Meta
 
 from gym_open.agents.config import ExplorerConfig
 from gym_open.config import Config, NonNegativeFloat, PositiveInt, Seed
@@ -48,8 +50,9 @@ class CollectConfig(Config, frozen=True, kw_only=True):
     """Steps that each stream takes between two updates; the curriculum decides after an update."""
     pool: PositiveInt = 12
     """Distinct sandbox worlds to switch between."""
-    probe: PositiveInt = 64
-    """Latest transitions kept of each world, of distinct observations, on which its loss is measured."""
+    probe: Annotated[int, Meta(ge=16)] = 64
+    """Latest transitions kept of each world, of distinct observations, on which its loss is measured. CURL's loss is
+    small among few pictures, which are easily told apart; its scale is for 64."""
     checkpoint_every: PositiveInt = 20
     """Rollouts between two checkpoints."""
     threads: PositiveInt = 1
