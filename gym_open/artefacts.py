@@ -10,6 +10,7 @@ Its *digest* is the SHA-256 of manifest.json. No path, host, user name or time o
 inputs give the same digest in any folder. It is written in a hidden sibling folder and renamed when it is whole.
 """
 
+import errno
 import fcntl
 import functools
 import hashlib
@@ -18,7 +19,7 @@ import itertools
 import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,9 @@ from gym_open.errors import ArtefactError, UsageError
 CONFIG, LINEAGE, MANIFEST = "config.json", "lineage.json", "manifest.json"
 SCRATCH = "checkpoint"
 """Folder inside an unfinished artefact for whatever a resume needs; removed before sealing."""
+
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+"""What writing to a full disk raises, often without the file's name."""
 
 RECORDED_PACKAGES = ("lerobot", "mcap", "mujoco", "mujoco-core", "numba", "numpy", "pyarrow", "torch")
 
@@ -148,7 +152,7 @@ def _read(path: Path, kind: Any) -> Any:
         return msgspec.json.decode(path.read_bytes(), type=kind)
     except FileNotFoundError:
         raise ArtefactError(f"{path}: missing; the artefact is not whole, build it again") from None
-    except msgspec.DecodeError as error:
+    except (msgspec.DecodeError, RecursionError) as error:
         raise ArtefactError(f"{path}: not readable: {error}; build the artefact again") from None
 
 
@@ -209,7 +213,7 @@ def build(
         work: writes the payload.
 
     Raises:
-        ArtefactError: if a parent is damaged or `out` is something else.
+        ArtefactError: if a parent is damaged, `out` is something else, or the disk is full.
         UsageError: if another process is writing `out` now.
     """
     out = out.absolute()
@@ -225,7 +229,12 @@ def build(
     partial.parent.mkdir(parents=True, exist_ok=True)
     with _lock(out):
         _claim(partial, key)
-        facts = dict(work(partial))
+        try:
+            facts = dict(work(partial))
+        except OSError as error:
+            if error.errno in _FULL:
+                raise _unwritable(Path(error.filename or partial), error) from error
+            raise
         record = Lineage(kind=kind, key=key, code=code_version(), packages=_packages(), facts=facts, parents=inputs)
         _seal(partial, config, record)
         earlier = _set_aside(out) if out.exists() else None
@@ -262,8 +271,8 @@ def _claim(partial: Path, key: str) -> None:
 
 
 def _seal(partial: Path, config: Config, record: Lineage) -> None:
-    (partial / CONFIG).write_bytes(canonical_json(to_dict(config)))
-    (partial / LINEAGE).write_bytes(canonical_json(record))
+    write_atomically(partial / CONFIG, canonical_json(to_dict(config)))
+    write_atomically(partial / LINEAGE, canonical_json(record))
     names = {item.relative_to(partial).as_posix(): item for item in _files(partial)}
     entries = {
         name: Entry(sha256=sha256_file(item), bytes=item.stat().st_size)
@@ -275,13 +284,30 @@ def _seal(partial: Path, config: Config, record: Lineage) -> None:
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file beside, flush it to disk, then rename: readers see the old bytes or the new, never half."""
+    """Write a file beside, flush it to disk, then rename: readers see the old bytes or the new, never half.
+
+    Raises:
+        ArtefactError: if it cannot be written, as on a full disk; what was there before is kept.
+    """
     beside = path.with_name(f".{path.name}.tmp")
-    with beside.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    beside.rename(path)
+    try:
+        with beside.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        beside.rename(path)
+    except OSError as error:
+        raise _unwritable(path, error) from error
+    finally:
+        with suppress(OSError):
+            beside.unlink(missing_ok=True)
+
+
+def _unwritable(path: Path, error: OSError) -> ArtefactError:
+    return ArtefactError(
+        f"{path}: cannot be written ({error.strerror or error}); what was there before is kept: make room, or make its "
+        "folder writable, then run the same command again"
+    )
 
 
 @contextmanager

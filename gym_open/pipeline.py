@@ -19,7 +19,8 @@ from gym_open.collect.config import CollectConfig
 from gym_open.config import Config, check, load
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.evaluate.config import EvaluateConfig
-from gym_open.summary import PAPER_NOTE, probe_table, proof_text, score_table, short, stage_table
+from gym_open.summary import PAPER_NOTE, probe_table, proof_text, score_table, short, stage_table, word
+from gym_open.terminal import markup
 from gym_open.train.config import EncoderTrainConfig, PolicyTrainConfig, ProbeConfig
 from gym_open.viz.config import VizConfig
 
@@ -78,7 +79,7 @@ class Journal:
         self.made += outcome.made
         result = "made" if outcome.made else "up to date"
         self.rows.append((name, result, f"{seconds:.1f} s", artefacts.digest(outcome.path)[:12]))
-        kept = f", the earlier one is now {outcome.earlier.name}" if outcome.earlier else ""
+        kept = f", the earlier one is now {markup(outcome.earlier.name)}" if outcome.earlier else ""
         self.console.print(f"[bold]{name:<27}[/] {result} ({seconds:.1f} s){kept}", highlight=False)
         return outcome.path
 
@@ -102,16 +103,17 @@ def run(root: Path, seed: int, console: Console) -> None:
     for table in (stage_table(journal.rows), probe_table(probe), score_table(scores)):
         console.print(table)
     for name, path in scores.items():
-        console.print(proof_text(name, path), highlight=False)
+        console.print(markup(proof_text(name, path)), highlight=False)
     console.print(f"({PAPER_NOTE})\ntotal {time.perf_counter() - started:.0f} s", highlight=False)
-    console.print(f"\ncurves: {short(figure)}/run.png", highlight=False, soft_wrap=True)
+    console.print(f"\ncurves: {markup(short(figure / 'run.png'))}", highlight=False, soft_wrap=True)
+    longer = root / "train/policy-goal-seeking-400k.toml"
     for line in (
-        f"rerun {short(recording)}/recording.rrd",
-        f"gym-open viz {short(release)} --save release.rrd",
-        f"gym-open train policy --config {root / 'train/policy-goal-seeking-400k.toml'} --encoder {short(encoder)}",
-        f"gym-open run --workspace {root} --seed {seed + 1}",
+        f"rerun {word(recording / 'recording.rrd')}",
+        f"gym-open viz {word(release)} --save release.rrd",
+        f"gym-open train policy --config {word(longer)} --encoder {word(encoder)}",
+        f"gym-open run --workspace {word(root)} --seed {seed + 1}",
     ):
-        console.print(f"next: {line}", highlight=False, soft_wrap=True)
+        console.print(f"next: {markup(line)}", highlight=False, soft_wrap=True)
 
 
 def _learn_without_task(plan: Plan, root: Path, seed: int, journal: Journal) -> tuple[Path, Path, Path]:

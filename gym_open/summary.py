@@ -1,5 +1,6 @@
 """Tables that a person reads at the end: scores, probes, proof. Everything comes from artefacts on disk."""
 
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,7 @@ import msgspec
 from rich.table import Table
 
 from gym_open import artefacts
+from gym_open.terminal import markup
 
 PAPER_NOTE = "paper, goal-seeking, 1M steps: PPO from scratch .509, CURL+RIDE .532, human .584"
 
@@ -15,6 +17,11 @@ PAPER_NOTE = "paper, goal-seeking, 1M steps: PPO from scratch .509, CURL+RIDE .5
 def short(path: Path) -> str:
     """The path as a person would type it here."""
     return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)
+
+
+def word(path: Path) -> str:
+    """The path as `short` has it, quoted for the shell where that is needed."""
+    return shlex.quote(short(path))
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -34,12 +41,12 @@ def score_table(scores: Mapping[str, Path]) -> Table:
     for name, path in scores.items():
         record = read_json(path / "scores.json")
         table.add_row(
-            name,
+            markup(name),
             f"{record['a_success']:.3f} ± {record['a_success_half_width_95']:.3f}",
             f"{record['mean_return']:.2f}",
             f"{record['mean_steps']:.0f}",
             f"{_training_steps(path):,}",
-            record["proof"]["verdict"],
+            markup(record["proof"]["verdict"]),
         )
     return table
 

@@ -17,6 +17,7 @@ from gym_open.cli.base import Command
 from gym_open.config import check, load
 from gym_open.envs.look.backend import check_backend
 from gym_open.errors import GymOpenError
+from gym_open.terminal import printable
 
 COMMANDS: dict[str, type[Command]] = {
     "run": stages.Run,
@@ -60,10 +61,10 @@ def _run(name: str, words: list[str]) -> int:
         check_backend()
         _parse(name, words).run()
     except GymOpenError as error:
-        print(f"error: {error}", file=sys.stderr)
+        print(f"error: {printable(str(error))}", file=sys.stderr)
         return error.exit_code
     except OSError as error:
-        print(f"error: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)
+        print(printable(f"error: {error.filename or 'a file'}: {error.strerror or error}"), file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("stopped; the same command goes on from the last checkpoint", file=sys.stderr)

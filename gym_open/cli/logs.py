@@ -6,9 +6,9 @@ from typing import Annotated
 
 import tyro
 
-from gym_open.cli.base import Command, out
+from gym_open.cli.base import Command, out, say
 from gym_open.errors import GymOpenError
-from gym_open.summary import short
+from gym_open.summary import short, word
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +55,7 @@ class LogReplay(Command):
         for table in report.tables:
             out.print(table)
         for note in report.notes:
-            out.print(note, highlight=False, soft_wrap=True)
+            say(note)
         out.print(f"verdict: [bold]{report.verdict}[/]")
         if report.verdict == "diverged":
             raise GymOpenError(f"{short(self.log)}: the replay has diverged, first in {report.first_diverged}")
@@ -79,11 +79,11 @@ class LogRepair(Command):
 
         made = repair(self.log)
         if made.saved is None:
-            out.print(f"{short(self.log)} is whole, nothing to do", highlight=False, soft_wrap=True)
+            say(f"{short(self.log)} is whole, nothing to do")
             return
-        out.print(f"[bold green]made[/] {short(made.saved)}: {made.steps:,} steps", highlight=False, soft_wrap=True)
-        out.print(f"  damaged at byte {made.offset:,}: {made.what}", highlight=False, soft_wrap=True)
+        say(f"{short(made.saved)}: {made.steps:,} steps", verb="made")
+        say(f"  damaged at byte {made.offset:,}: {made.what}")
         gone = f"all after step {made.last_step:,}" if made.cut else "no step, only the file's index"
         left = f"the last {made.missing_bytes:,} bytes are left out"
-        out.print(f"  missing: {gone}; {left}", highlight=False, soft_wrap=True)
-        out.print(f"  next: gym-open log replay {short(made.saved)}", highlight=False, soft_wrap=True)
+        say(f"  missing: {gone}; {left}")
+        say(f"  next: gym-open log replay {word(made.saved)}")

@@ -1,5 +1,6 @@
 """The pipeline's sub-commands: each hands its configuration and paths to a stage."""
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar
@@ -7,12 +8,12 @@ from typing import Annotated, Any, ClassVar, TypeVar
 import tyro
 
 from gym_open import workspace
-from gym_open.cli.base import Command, out, report
+from gym_open.cli.base import Command, out, report, say
 from gym_open.collect.config import CollectConfig
 from gym_open.config import Config
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.evaluate.config import EvaluateConfig
-from gym_open.summary import probe_table, proof_text, score_table, short
+from gym_open.summary import probe_table, proof_text, score_table, short, word
 from gym_open.train.config import EncoderTrainConfig, PolicyTrainConfig, ProbeConfig
 from gym_open.viz.config import VizConfig
 
@@ -38,6 +39,10 @@ class StageCommand(Command):
         return given or workspace.check(self.workspace) / folder / (name or self.config.stem)
 
 
+def _recording(made: Path) -> str:
+    return shlex.quote(f"{made.name}.rrd")
+
+
 @dataclass(frozen=True, kw_only=True)
 class Collect(StageCommand):
     """Explore the sandbox without a task and log every step (MCAP).
@@ -59,12 +64,12 @@ class Collect(StageCommand):
 
         made = collect(self.settings, self.place(self.out, "collect/logs"))
         out.print(summary_table(made.path))
-        path = short(made.path)
+        path = word(made.path)
         report(
             made,
             f"gym-open log replay {path}",
             f"gym-open dataset build --logs {path}",
-            f"gym-open viz {path} --save {made.path.name}.rrd",
+            f"gym-open viz {path} --save {_recording(made.path)}",
         )
 
 
@@ -89,8 +94,8 @@ class DatasetBuild(StageCommand):
         from gym_open.datasets.build import build_release
 
         made = build_release(self.settings, self.logs, self.place(self.out, "datasets/open"))
-        path = short(made.path)
-        report(made, f"gym-open train encoder --release {path}", f"gym-open viz {path} --save {made.path.name}.rrd")
+        path = word(made.path)
+        report(made, f"gym-open train encoder --release {path}", f"gym-open viz {path} --save {_recording(made.path)}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +119,7 @@ class TrainEncoder(StageCommand):
         from gym_open.train.encoder import train_encoder
 
         made = train_encoder(self.settings, self.release, self.place(self.out, "train/encoders"))
-        path = short(made.path)
+        path = word(made.path)
         report(made, f"gym-open train probe --encoder {path}", f"gym-open train policy --encoder {path}")
 
 
@@ -139,7 +144,7 @@ class TrainPolicy(StageCommand):
         from gym_open.train.policy import train_policy
 
         made = train_policy(self.settings, self.encoder, self.place(self.out, "train/policies"))
-        report(made, f"gym-open evaluate --task {self.settings.task} --policy {short(made.path)}")
+        report(made, f"gym-open evaluate --task {self.settings.task} --policy {word(made.path)}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,7 +200,7 @@ class Evaluate(StageCommand):
         folder = self.place(self.out, "evaluate/scores", name)
         made = evaluate(self.settings, self.policy, folder, oracle=self.oracle)
         out.print(score_table({name: made.path}))
-        out.print(proof_text(name, made.path))
+        say(proof_text(name, made.path))
         report(made)
 
 
@@ -220,9 +225,7 @@ class Viz(StageCommand):
         from gym_open.viz.recording import visualize
 
         path = visualize(self.settings, self.source, self.save)
-        out.print(
-            f"[bold green]made[/] {short(path)}  ({path.stat().st_size / 1e6:.1f} MB)\n  next: rerun {short(path)}"
-        )
+        say(f"{short(path)}  ({path.stat().st_size / 1e6:.1f} MB)\n  next: rerun {word(path)}", verb="made")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -263,6 +266,6 @@ class Init(Command):
     def run(self) -> None:
         """Make it."""
         for path in workspace.init(self.directory):
-            out.print(f"  {path}", highlight=False)
-        out.print(f"[bold green]made[/] the workspace {self.directory}", highlight=False)
-        out.print(f"  next: gym-open run --workspace {self.directory}", highlight=False)
+            say(f"  {path}")
+        say(f"the workspace {self.directory}", verb="made")
+        say(f"  next: gym-open run --workspace {word(self.directory)}")

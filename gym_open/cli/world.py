@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from gym_open import workspace
-from gym_open.cli.base import Command, out, report
+from gym_open.cli.base import Command, out, report, say
 from gym_open.envs.puzzles import Task
 from gym_open.envs.puzzles.sets import Split
 from gym_open.errors import UsageError
@@ -40,7 +40,7 @@ class PuzzleShow(Command):
 
         out.print(show(self.puzzle))
         print(f"\n{puzzle_by_id(self.puzzle).to_json().decode()}\n")  # whole on one line, to be copied
-        out.print(f"  next: gym-open render video {self.puzzle} --save solution.mp4", highlight=False)
+        say(f"  next: gym-open render video {self.puzzle} --save solution.mp4")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +90,7 @@ class RenderSheet(Command):
         from gym_open.viz.render import contact_sheet
 
         made = contact_sheet(self._puzzles(), self.save, look=self.look, size=self.size, columns=self.columns)
-        out.print(f"[bold green]made[/] {short(made)}")
+        say(short(made), verb="made")
 
     def _puzzles(self) -> "dict[str, Puzzle]":
         from gym_open.envs.puzzles.generators import sample_puzzle
@@ -135,7 +135,7 @@ class RenderVideo(Command):
 
         puzzle = puzzle_by_id(self.puzzle)
         made = episode_video(puzzle, self._actions(puzzle), self.save, name=self.puzzle, look=self.look, size=self.size)
-        out.print(f"[bold green]made[/] {short(made)}")
+        say(short(made), verb="made")
 
     def _actions(self, puzzle: "Puzzle") -> list[int]:
         from gym_open.envs.puzzles.witnesses import witness_of
@@ -211,7 +211,7 @@ class Play(Command):
         try:
             made = play_as_person(config, folder)
         except StoppedError as stopped:  # as it was meant: no error, but not done either
-            out.print(str(stopped))
+            say(str(stopped))
             raise SystemExit(130) from None
         out.print(score_table({name: made.path}))
         report(made)

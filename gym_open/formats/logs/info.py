@@ -15,6 +15,7 @@ from gym_open.formats.logs.container import Damage, Logged, read_head, scan, who
 from gym_open.formats.logs.messages import decode_segment, decode_stuck, decode_switch
 from gym_open.formats.logs.reader import LogFile, found_files, parse_head
 from gym_open.formats.logs.schemas import LogError, LogHead, Stuck, Switch
+from gym_open.terminal import markup
 
 _NO_PICTURE = np.empty(0)
 
@@ -111,7 +112,7 @@ def info_tables(source: Path) -> list[Table]:
 
 
 def _table(title: str, left: Sequence[str], right: Sequence[str], last: Sequence[str] = ()) -> Table:
-    table = Table(title=title, title_justify="left")
+    table = Table(title=markup(title), title_justify="left")
     for name in (*left, *right, *last):
         table.add_column(name, justify="right" if name in right else "left", overflow="fold", no_wrap=name == "file")
     return table
@@ -123,7 +124,7 @@ def _files(files: Sequence[FileInfo]) -> Table:
     title = f"{schemas.FORMAT}, written by {head.provenance.get('code', 'an unknown version')}{seed}"
     table = _table(title, ["file"], ["steps", "simulated", "bytes", "B/step"], ["health"])
     for file in files:
-        table.add_row(file.path.name, *_size([file]), file.health)
+        table.add_row(markup(file.path.name), *_size([file]), markup(file.health))
     return table
 
 
@@ -147,7 +148,7 @@ def _streams(files: Sequence[FileInfo], *, alone: bool) -> Table:
             str(stream), steps, each, f"{len(worlds)} of {len(own[0].head.puzzles)}", str(entered),
             str(sum(stuck.began for file in own for stuck in file.stuck)),
             ", ".join(f"{reason} {count}" for reason, count in reasons.items()),
-            _health(own, alone=alone),
+            markup(_health(own, alone=alone)),
         )  # fmt: skip
     return table
 

@@ -1,6 +1,5 @@
 """Reading a log: checked byte for byte when it is opened, then as much of it in memory at a time as is asked for."""
 
-import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,14 +20,13 @@ from gym_open.formats.logs.container import (
     whole_chunks,
 )
 from gym_open.formats.logs.messages import decode_stuck, decode_switch
-from gym_open.formats.logs.schemas import LogError, LogHead, Segment, Stuck, Switch, log_name
+from gym_open.formats.logs.schemas import LogError, LogHead, Segment, Stuck, Switch, UnfinishedError, log_name
 from gym_open.formats.logs.segments import decode_record, groups, segments
 
-REMEDY = (
-    "restore the file from a copy, run the `gym-open collect` command that wrote it again (it goes on), or save what "
-    "is whole with `gym-open log repair`"
-)
-_NAME = re.compile(r"stream-(\d{3,})-(\d{3,})\.mcap")
+RESTORE = "restore the file from a copy, or run the `gym-open collect` command that wrote it again (it goes on)"
+REPAIR = f"{RESTORE}, or save what is whole with `gym-open log repair`"
+"""The remedy where there is something that can be saved."""
+UNFINISHED = "it has no last switch: its writer was not finished"
 
 
 def found_files(artefact: Path) -> dict[int, dict[int, Path]]:
@@ -39,8 +37,8 @@ def found_files(artefact: Path) -> dict[int, dict[int, Path]]:
     """
     streams: dict[int, dict[int, Path]] = {}
     for path in sorted(artefact.glob("stream-*.mcap")):
-        if match := _NAME.fullmatch(path.name):
-            streams.setdefault(int(match[1]), {})[int(match[2])] = path
+        if found := schemas.parse_log_name(path.name):
+            streams.setdefault(found[0], {})[found[1]] = path
     if not streams:
         raise ArtefactError(f"{artefact}: no logs (stream-*.mcap) in it; make some with `gym-open collect`")
     return {stream: dict(sorted(parts.items())) for stream, parts in sorted(streams.items())}
@@ -55,7 +53,9 @@ def log_files(artefact: Path) -> list[list[Path]]:
     found = found_files(artefact)
     for stream, parts in found.items():
         if missing := set(range(max(parts) + 1)) - set(parts):
-            raise LogError(f"{artefact / log_name(stream, min(missing))}: missing, but a later part is there; {REMEDY}")
+            raise LogError(
+                f"{artefact / log_name(stream, min(missing))}: missing, but a later part is there; {RESTORE}"
+            )
     return [list(parts.values()) for parts in found.values()]
 
 
@@ -114,7 +114,7 @@ class Log:
         self.n_steps: int = sum(file.count(schemas.STEP) for file in files)
         self._open_end = files[-1].goes_on
         if not self._open_end and (not self.switches or self.switches[-1].to_world != -1):
-            raise ValueError("it has no last switch: its writer was not finished")
+            raise UnfinishedError(f"{files[-1].path}: {UNFINISHED}; {REPAIR}")
 
     def _messages(self, *topics: str) -> Iterator[Logged]:
         for file in self._files:
@@ -141,7 +141,7 @@ class Log:
             if steps != self.n_steps:
                 raise ValueError(f"it holds {steps} steps, its index tells of {self.n_steps}")
         except ValueError as error:
-            raise LogError(f"{self.path}: {error}; {REMEDY}") from None
+            raise LogError(f"{self.path}: {error}; {RESTORE}") from None
 
 
 def open_log(source: Path | Sequence[Path]) -> Log:
@@ -202,24 +202,40 @@ def parse_head(contents: Contents) -> tuple[LogHead, int]:
     Raises:
         ValueError, KeyError, GymOpenError: if it is of another format, or something in it is not as it should be.
     """
+    try:
+        return _parse_head(contents)
+    except RecursionError:
+        raise ValueError("JSON in it is nested too deeply; refused") from None
+
+
+def _parse_head(contents: Contents) -> tuple[LogHead, int]:
     head = contents.metadata.get(schemas.HEAD, {})
     if head.get("format") != schemas.FORMAT:
         raise ValueError(f"expected the format {schemas.FORMAT!r}, got {head.get('format')!r}")
     expected = {schemas.CONFIG, schemas.MODEL, schemas.POOL}
     if set(contents.attachments) != expected:
         raise ValueError(f"expected the attachments {sorted(expected)}, got {sorted(contents.attachments)}")
-    if (keyframe_every := int(head["keyframe_every"])) < 1:
-        raise ValueError(f"expected a keyframe every so many steps, got {keyframe_every}")
+    if (step_ns := _number(head, "step_ns")) != schemas.STEP_NS:
+        raise ValueError(f"step_ns: expected {schemas.STEP_NS}, got {step_ns}")
     pool = msgspec.json.decode(contents.attachments[schemas.POOL], type=list[msgspec.Raw])
     return LogHead(
-        stream=int(head["stream"]),
+        stream=_number(head, "stream"),
         config=msgspec.json.decode(contents.attachments[schemas.CONFIG], type=dict[str, Any]),
         puzzles=tuple(Puzzle.from_json(bytes(raw)) for raw in pool),
         provenance=contents.metadata.get(schemas.PROVENANCE, {}),
         model_xml=contents.attachments[schemas.MODEL].decode(),
         reward_parts=msgspec.json.decode(head["reward_parts"], type=tuple[str, ...]),
-        keyframe_every=keyframe_every,
-    ), int(head["part"])
+        keyframe_every=_number(head, "keyframe_every", least=1),
+    ), _number(head, "part")
+
+
+def _number(head: dict[str, str], name: str, *, least: int = 0) -> int:
+    """Raises ValueError if it is not there as our writers put it, KeyError if not at all."""
+    text = head[name]
+    number = int(text) if text.isdecimal() else -1
+    if not (least <= number < 2**31 and str(number) == text):
+        raise ValueError(f"{name}: expected a whole number from {least} on, got {text!r}")
+    return number
 
 
 def _check_channels(contents: Contents) -> None:
@@ -243,7 +259,7 @@ def _check_parts(files: Sequence[LogFile]) -> None:
         last = number == len(files) - 1
         if last and file.goes_on:
             following = log_name(file.head.stream, number + 1)
-            raise LogError(f"{file.path}: the stream goes on in {following}, which is missing; {REMEDY}")
+            raise LogError(f"{file.path}: the stream goes on in {following}, which is missing; {RESTORE}")
         if not last and not file.goes_on:
             raise LogError(f"{file.path}: the stream ends in it, so {files[number + 1].path} is not a part of it")
 
@@ -256,8 +272,8 @@ def _foreign(path: Path, error: Exception) -> LogError:
 def damaged(path: Path, damage: Damage) -> LogError:
     """The error that says where a file is damaged and how much before it is whole."""
     last = _last_whole_step(path, damage.offset)
-    whole = "no step before it is whole" if last is None else f"the last whole step is {last}"
-    return LogError(f"{path}: damaged at byte {damage.offset}: {damage.what}; {whole}; {REMEDY}")
+    whole = f"no step before it is whole; {RESTORE}" if last is None else f"the last whole step is {last}; {REPAIR}"
+    return LogError(f"{path}: damaged at byte {damage.offset}: {damage.what}; {whole}")
 
 
 def _last_whole_step(path: Path, end: int) -> int | None:

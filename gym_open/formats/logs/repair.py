@@ -1,5 +1,6 @@
 """Saving what is whole of a damaged log file: everything up to the last step before the damage, in a file beside it."""
 
+import re
 import shutil
 import sys
 from collections.abc import Iterator
@@ -16,14 +17,16 @@ from gym_open.formats.logs.cdr import CdrReader
 from gym_open.formats.logs.container import Damage, Logged, first_number, read_head, scan, whole_chunks
 from gym_open.formats.logs.messages import PIXELS, decode_switch
 from gym_open.formats.logs.parts import LogParts
-from gym_open.formats.logs.reader import open_log, parse_head
-from gym_open.formats.logs.schemas import LogError, LogHead, SegmentStart, Switch, log_name
+from gym_open.formats.logs.reader import UNFINISHED, open_log, parse_head
+from gym_open.formats.logs.schemas import LogError, LogHead, SegmentStart, Switch, UnfinishedError, log_name
 from gym_open.formats.logs.segments import decode_record, groups
 
 _NO_LIMIT = sys.maxsize
 """Bytes at which a file would roll: a repaired one does not."""
 _PIECE = 256
-"""Steps in memory at a time while the saved file is read back."""
+"""Steps in memory at a time while a file is read."""
+_UNFINISHED = re.compile(r"\.(.+)\.partial")
+"""Name of the folder of an artefact in the making: what is in it belongs to the run that makes it."""
 
 
 class Repair(msgspec.Struct, frozen=True):
@@ -61,14 +64,15 @@ class _Whole(msgspec.Struct):
 def repair(path: Path) -> Repair:
     """Write what is whole of the log file at `path` to `NAME-repaired.mcap` beside it.
 
-    The new file is whole or absent; it is read back before it gets its name. If play went on in what is missing, it
-    ends with a switch whose reason is `cut`. The old file is left as it is.
+    If it lies in an artefact's unfinished folder `.ARTEFACT.partial`, the new file is `ARTEFACT-NAME-repaired.mcap`
+    beside that. The new file is whole or absent; it is read back before it gets its name. If play went on in what is
+    missing, it ends with a switch whose reason is `cut`. The old file is left as it is.
 
     Raises:
-        LogError: if nothing can be saved: the file is none of ours, its head is damaged, or no step in it is whole; or
-            if the new file is there already.
+        LogError: if nothing can be saved: the file is none of ours, its head is damaged, no step in it is whole, or its
+            bytes are whole but what they say makes no log; or if the new file is there already.
     """
-    target = path.with_name(f"{path.stem}-repaired.mcap")
+    target = _target(path)
     if not path.is_file():
         raise LogError(f"{path}: no such log file; give one file (.mcap)")
     contents, found = scan(path)
@@ -96,13 +100,26 @@ def repair(path: Path) -> Repair:
     )  # fmt: skip
 
 
+def _target(path: Path) -> Path:
+    """Where the new file goes."""
+    for folder in path.absolute().parents:
+        if unfinished := _UNFINISHED.fullmatch(folder.name):
+            return folder.with_name(f"{unfinished[1]}-{path.stem}-repaired.mcap")
+    return path.with_name(f"{path.stem}-repaired.mcap")
+
+
 def _no_end(path: Path) -> Damage | None:
-    """What is wrong with a file whose bytes are all right: the last switch lacks, or it is no log."""
+    """Whether the last switch lacks in a file whose bytes are all right. Raises LogError if they make no log."""
     try:
-        open_log(path)
-    except LogError as error:
-        return Damage(path.stat().st_size, str(error))
+        _read(path)
+    except UnfinishedError:
+        return Damage(path.stat().st_size, UNFINISHED)
     return None
+
+
+def _read(path: Path) -> None:
+    for _ in open_log(path).segments(_PIECE):
+        pass
 
 
 def _complete(path: Path, bar: progress.Bar) -> Iterator[list[Logged]]:
@@ -173,8 +190,10 @@ def _write(path: Path, target: Path, whole: _Whole, bar: progress.Bar, *, head: 
             files.abandon()
             raise
         made = partial / log_name(head.stream, part)
-        for _ in open_log(made).segments(_PIECE):
-            pass
+        try:
+            _read(made)
+        except LogError as error:  # bytes that are all right, but make no log
+            raise LogError(f"{str(error).replace(str(made), str(path))}; nothing can be saved") from None
         made.rename(target)
     finally:
         shutil.rmtree(partial)

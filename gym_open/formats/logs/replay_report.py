@@ -10,6 +10,7 @@ from gym_open import progress
 from gym_open.errors import UsageError
 from gym_open.formats.logs.reader import Log, open_log, open_logs
 from gym_open.formats.logs.replay import Verdict, Window, replay, same_model
+from gym_open.terminal import markup
 
 SHOWN = 12
 """Windows that are listed at most."""
@@ -105,7 +106,8 @@ def _by_window(windows: Sequence[Window]) -> Table:
         worst = max(window.state_error, key=window.state_error.__getitem__, default="–")
         table.add_row(
             f"{window.stream}/{window.segment}", f"{window.first_different:,}",
-            "–" if window.first_diverged is None else f"{window.first_diverged:,}", worst, f"{_error(window):.2g}",
+            "–" if window.first_diverged is None else f"{window.first_diverged:,}", markup(worst),
+            f"{_error(window):.2g}",
             f"{window.contact_steps:,}", f"{window.pixels:,}",
         )  # fmt: skip
     return table

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from gym_open.formats.logs.container import Damage, Logged, chunks, read_contents, whole_chunks
 from gym_open.formats.logs.parts import LogParts
-from gym_open.formats.logs.schemas import LogError, LogHead, log_name
+from gym_open.formats.logs.schemas import LogError, LogHead, log_name, parse_log_name
 from gym_open.formats.logs.writer import ROLL_BYTES, LogWriter
 
 
@@ -71,13 +71,12 @@ def _set_aside(folder: Path, aside: Path, stream: int, part: int) -> list[Path]:
     """Move a stream's files from `part` on to `aside`, unless it has more of one already; return what it has then.
 
     Every file is moved at once and by itself, so this can be cut short anywhere and done again: two files of the same
-    part begin alike.
+    part begin alike. Files of other names are no part of the log, and stay.
     """
     aside.mkdir(exist_ok=True)
-    before = {log_name(stream, i) for i in range(part)}
     for path in folder.glob(f"stream-{stream:03d}-*.mcap"):
-        kept = aside / path.name
-        if path.name not in before and not (kept.is_file() and _messages(kept) > _messages(path)):
+        named, kept = parse_log_name(path.name), aside / path.name
+        if named and named[1] >= part and not (kept.is_file() and _messages(kept) > _messages(path)):
             path.rename(kept)
     return list(_following(aside, stream, part))
 

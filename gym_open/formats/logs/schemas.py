@@ -3,6 +3,7 @@
 `messages` turns records into messages and back; docs/data-format.md has the layout of a file.
 """
 
+import re
 from typing import Any, Literal
 
 import msgspec
@@ -19,6 +20,7 @@ STATE_WIDTH = 13
 """Numbers an object: position 3 (m), quaternion wxyz 4, linear velocity 3 (m/s), angular velocity 3 (rad/s)."""
 STEP_NS = round(CONTROL_DT_S * 1e9)
 """Simulated nanoseconds a step."""
+_NAME = re.compile(r"stream-([0-9]{3,6})-([0-9]{3,6})\.mcap")
 
 SEGMENT, STEP = "/segment", "/step"
 IMAGE, DEPTH, SEGMENTATION = "/observation/image", "/observation/depth", "/observation/segmentation"
@@ -41,9 +43,20 @@ class LogError(ArtefactError):
     """A log is cut off, damaged, or not one of ours."""
 
 
+class UnfinishedError(LogError):
+    """A log whose bytes are all right, but whose writer did not come to its last switch."""
+
+
 def log_name(stream: int, part: int) -> str:
     """Name of the file with part `part` of a stream's log, both counted from 0."""
     return f"stream-{stream:03d}-{part:03d}.mcap"
+
+
+def parse_log_name(name: str) -> tuple[int, int] | None:
+    """Stream and part of the file called `name`; None if `log_name` gives no such name."""
+    match = _NAME.fullmatch(name)
+    found = (int(match[1]), int(match[2])) if match else None
+    return found if found and log_name(*found) == name else None
 
 
 class LogHead(msgspec.Struct, frozen=True):
