@@ -1,13 +1,17 @@
 """The command line: help with an example everywhere, wrong use refused by name, exit codes."""
 
+import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from gym_open import workspace
-from gym_open.cli import COMMANDS, main
+from gym_open import artefacts, workspace
+from gym_open.cli import COMMANDS, base, main
+from gym_open.config import Config
+from gym_open.summary import word
+from gym_open.terminal import printable
 
 
 @pytest.fixture
@@ -72,6 +76,29 @@ def test_what_the_disk_refuses_is_an_error_by_name(tmp_path: Path, capsys: pytes
     (tmp_path / "file").write_text("")
     assert main(["init", str(tmp_path / "file" / "workspace")]) == 1
     assert "Not a directory" in capsys.readouterr().err
+
+
+def test_paths_are_shown_as_they_are_and_commands_can_be_typed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Brackets are no markup, colons no picture; a shell splits what comes next into the words that were meant."""
+    names = ["a[/b]", "[bold]d", "it's :x: here", "back\\", "\x1b[31mred"]
+    for name in names:
+        root = tmp_path / name
+        assert main(["init", str(root)]) == 0
+        shown = capsys.readouterr().out
+        assert f"made the workspace {printable(str(root))}\n" in shown
+        assert shlex.split(shown.splitlines()[-1].replace("\\x1b", "\x1b")) == [
+            "next:", "gym-open", "run", "--workspace", str(root),
+        ]  # fmt: skip
+        made = artefacts.build(root / "out", kind="toy", config=Config(), parents=(), work=lambda _: {})
+        base.report(made, f"gym-open viz {word(made.path)}")
+        shown = capsys.readouterr().out.splitlines()
+        assert shown[0].startswith(f"made {printable(str(root / 'out'))}  (digest ")
+        assert shlex.split(shown[1].replace("\\x1b", "\x1b"))[1:] == ["gym-open", "viz", str(root / "out")]
+        assert "\x1b" not in "".join(shown)
+        monkeypatch.chdir(root)
+        assert word(made.path) == "out"
 
 
 def test_an_unknown_option_ends_with_2_and_a_suggestion(root: Path, capsys: pytest.CaptureFixture[str]) -> None:

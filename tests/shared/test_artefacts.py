@@ -3,8 +3,9 @@
 import fcntl
 import hashlib
 import json
+import resource
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -107,6 +108,42 @@ def test_a_missing_parent_and_a_wrong_kind_are_named(tmp_path: Path) -> None:
         _make(tmp_path / "child", parents=(tmp_path / "nowhere",))
     with pytest.raises(ArtefactError, match="expected an artefact of kind 'log', got 'toy'"):
         artefacts.verify(_make(tmp_path / "a").path, "log")
+
+
+@pytest.fixture
+def small_disk() -> Iterator[None]:
+    """No file can have more than 1000 bytes, as if there were no more room."""
+    usual, most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, most))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, (usual, most))
+
+
+@pytest.mark.usefixtures("small_disk")
+def test_a_full_disk_is_an_error_by_name_and_leaves_what_was_there(tmp_path: Path) -> None:
+    path = tmp_path / "summary.json"
+    artefacts.write_atomically(path, b"old")
+    with pytest.raises(
+        ArtefactError, match=r"summary\.json: cannot be written \(File too large\).*make room.*same command again"
+    ):
+        artefacts.write_atomically(path, bytes(5000))
+    assert list(tmp_path.iterdir()) == [path]
+    assert path.read_bytes() == b"old"
+
+
+@pytest.mark.usefixtures("small_disk")
+def test_work_that_the_disk_has_no_room_for_is_an_error_by_name(tmp_path: Path) -> None:
+    """Whatever wrote it: an error of writing has no file's name."""
+    with pytest.raises(ArtefactError, match=r"\.a\.partial: cannot be written \(File too large\).*make room"):
+        _make(tmp_path / "a", Toy(n=1000))
+    assert not (tmp_path / "a").exists()
+
+
+def test_records_nested_too_deeply_are_refused(tmp_path: Path) -> None:
+    out = _make(tmp_path / "a").path
+    (out / "config.json").write_text('{"a":' + "[" * 100_000 + "]" * 100_000 + "}")
+    with pytest.raises(ArtefactError, match=r"config\.json: not readable"):
+        artefacts.config_of(out)
 
 
 def test_a_folder_that_is_no_artefact_is_never_overwritten(tmp_path: Path) -> None:

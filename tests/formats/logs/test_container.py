@@ -16,6 +16,7 @@ from mcap.opcode import Opcode
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import CompressionType, Writer
 
+from gym_open.cli import main
 from gym_open.formats.logs import container as log_container
 from gym_open.formats.logs import schemas as log_schemas
 from gym_open.formats.logs.container import Logged, read_contents, whole_chunks
@@ -190,12 +191,43 @@ def test_nonsense_in_an_attachment_is_refused(whole: Path, tmp_path: Path, name:
         open_log(path)
 
 
+DEEP = b"[" * 200_000 + b"]" * 200_000
+
+
 @pytest.mark.parametrize(
-    "change",
-    [{"stream": "two"}, {"part": ""}, {"keyframe_every": "x"}, {"keyframe_every": "0"}, {"reward_parts": "{}"}],
+    ("name", "data"),
+    [("config.json", b'{"a":' + DEEP + b"}"), ("puzzles.json", DEEP), ("puzzles.json", b'[{"task":' + DEEP + b"}]")],
 )
-def test_nonsense_in_the_head_is_refused(whole: Path, tmp_path: Path, change: dict[str, str]) -> None:
-    with pytest.raises(LogError, match=r"x\.mcap: not a log of gym-open, or of another version"):
+def test_brackets_without_end_are_refused(
+    whole: Path, tmp_path: Path, name: str, data: bytes, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By every reader."""
+    path = rewritten(whole, tmp_path / "x.mcap", attachments={name: data})
+    with pytest.raises(LogError, match=r"x\.mcap: not a log .*: JSON in it is nested too deeply; refused"):
+        open_log(path)
+    for command in ("info", "replay", "repair"):
+        assert main(["log", command, str(path)]) == 1
+        assert "nested too deeply" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"stream": "two"}, "stream: expected a whole number from 0 on, got 'two'"),
+        ({"stream": "-1"}, "stream: expected a whole number from 0 on, got '-1'"),
+        ({"stream": "1_0"}, "stream: expected"),
+        ({"stream": "9" * 5000}, ""),
+        ({"part": ""}, "part: expected"),
+        ({"part": "-1"}, "part: expected"),
+        ({"part": "9999999999"}, "part: expected"),
+        ({"keyframe_every": "x"}, "keyframe_every: expected"),
+        ({"keyframe_every": "0"}, "keyframe_every: expected a whole number from 1 on, got '0'"),
+        ({"step_ns": "20000000"}, "step_ns: expected 40000000, got 20000000"),
+        ({"reward_parts": "{}"}, ""),
+    ],
+)
+def test_nonsense_in_the_head_is_refused(whole: Path, tmp_path: Path, change: dict[str, str], said: str) -> None:
+    with pytest.raises(LogError, match=f"x\\.mcap: not a log of gym-open, or of another version: .*{said}"):
         open_log(rewritten(whole, tmp_path / "x.mcap", head=change))
 
 

@@ -6,6 +6,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 from gym_open.cli import main
@@ -134,6 +135,35 @@ def test_the_commands_say_what_to_do_next(whole: Path, tmp_path: Path, capsys: p
     assert "damaged at byte" in capsys.readouterr().err
     assert main(["log", "repair", str(path)]) == 1
     assert "is there already" in capsys.readouterr().err
+
+
+HOSTILE = "[/nope]\x1b]0;gone\x07:x:\u202e"
+
+
+def test_text_from_a_log_is_only_shown(made_up: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It is no markup, and nothing in it gets to the terminal that would steer it."""
+    stranger = type(made_up)()
+    stranger.head = msgspec.structs.replace(made_up.head, provenance={"code": HOSTILE, "seed": HOSTILE})
+    made = [
+        msgspec.structs.replace(record, object_names=(HOSTILE, "b", "c"))
+        if isinstance(record, SegmentStart)
+        else record
+        for record in made_up.records()
+    ]
+    (tmp_path / HOSTILE.replace("/", "")).mkdir()
+    (path,) = stranger.write(tmp_path / HOSTILE.replace("/", ""), made)
+    path = path.rename(path.with_name("[bold].mcap"))
+    assert main(["log", "info", str(path)]) == 0
+    shown = capsys.readouterr().out
+    assert r"[/nope]\x1b]0;gone\x07:x:\u202e" in "".join(shown.split())
+    assert "[bold].mcap" in shown
+    assert main(["log", "replay", str(path)]) == 1
+    error = capsys.readouterr().err
+    assert rf"world, got {HOSTILE[:7]}\x1b]0;gone\x07:x:\u202e, b, c" in error
+    assert main(["log", "repair", str(path)]) == 0
+    repaired = capsys.readouterr().out
+    assert "[bold].mcap is whole, nothing to do" in repaired
+    assert all(text.replace("\n", "").isprintable() for text in (shown, repaired, error.splitlines()[-1]))
 
 
 def test_a_replay_that_cannot_be_made_is_an_error(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -235,6 +235,26 @@ def test_a_part_of_another_run_with_the_same_head_is_refused(made_up: Any, copie
         list(open_logs(tmp_path)[0].segments())
 
 
+def test_repair_is_named_only_where_it_can_save_something(made_up: Any, copied: list[Path], tmp_path: Path) -> None:
+    def remedy(source: Path | list[Path]) -> bool:
+        with pytest.raises(LogError, match="restore the file from a copy, or run") as caught:
+            list(open_log(source).segments())
+        return "log repair" in str(caught.value)
+
+    raw = copied[1].read_bytes()
+    assert not remedy(copied[:-1])  # a part is missing
+    copied[1].write_bytes(raw[:-30])
+    assert remedy(copied[1])  # the index is lost
+    copied[1].write_bytes(raw[:4000])
+    assert not remedy(copied[1])  # nothing is left
+    for name, records in (
+        ("unfinished", made_up.records()[:-1]),
+        ("out of place", flawed(made_up.records(), (StepRecord, 2, None))),
+    ):
+        (tmp_path / name).mkdir()
+        assert remedy(made_up.write(tmp_path / name, records)[0]) == (name == "unfinished")
+
+
 Change = dict[str, Any]
 Flaw = tuple[type, int, Change | None]
 """The `n`-th record of a kind is changed, or left out."""

@@ -6,6 +6,7 @@ import struct
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 import zstandard
@@ -19,10 +20,11 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from gym_open.formats.logs import mcap as log_mcap
 from gym_open.formats.logs import repair as log_repair
 from gym_open.formats.logs.container import read_contents
+from gym_open.formats.logs.messages import messages_of
 from gym_open.formats.logs.parts import LogParts
 from gym_open.formats.logs.reader import open_log
 from gym_open.formats.logs.repair import Repair, repair
-from gym_open.formats.logs.schemas import IMAGE, METRICS, SEGMENTATION, STEP, LogError, Segment, Switch
+from gym_open.formats.logs.schemas import IMAGE, METRICS, SEGMENTATION, STEP, LogError, Segment, StepRecord, Switch
 
 FIXTURES = [HealthCheck.function_scoped_fixture]
 
@@ -212,6 +214,38 @@ def test_what_is_no_log_is_refused(tmp_path: Path) -> None:
     (tmp_path / "x.mcap").write_text("no log at all")
     with pytest.raises(LogError, match="nothing can be saved of it"):
         repair(tmp_path / "x.mcap")
+
+
+def test_whole_bytes_that_make_no_log_are_not_called_whole(made_up: Any, tmp_path: Path) -> None:
+    """All CRCs are right, but there is no step, or none with as many parts as the head names."""
+    (stepless,) = made_up.write(tmp_path, [one for one in made_up.records() if not isinstance(one, StepRecord)])
+    with pytest.raises(LogError, match=r"stream-002-000\.mcap: .*restore the file from a copy"):
+        repair(stepless)
+    head = msgspec.structs.replace(made_up.head, reward_parts=tuple(f"part {i}" for i in range(1000)))
+    files = LogParts(tmp_path, head, 2**40)
+    for record in made_up.records():
+        for message in messages_of(record, made_up.head.reward_parts):
+            files.put(message)
+    files.finish()
+    with pytest.raises(LogError, match="step 0 has 2 parts of its reward, the log names 1000; restore"):
+        repair(stepless)
+    stepless.write_bytes(stepless.read_bytes()[:-30])
+    with pytest.raises(LogError, match=rf"{stepless}: step 0 has 2 parts .*; nothing can be saved"):
+        repair(stepless)
+    assert list(tmp_path.iterdir()) == [stepless]
+
+
+@pytest.mark.parametrize("inside", ["", "checkpoint"])
+def test_in_the_folder_of_an_unfinished_artefact_nothing_is_put(whole: Path, tmp_path: Path, inside: str) -> None:
+    """It would become part of the artefact, or go with the checkpoint, when the run is gone on with."""
+    folder = tmp_path / ".curl[1].partial" / inside
+    folder.mkdir(parents=True)
+    path = damaged(folder, whole.read_bytes()[:-30])
+    made = repair(path)
+    assert made.saved is not None
+    assert made.saved == tmp_path / "curl[1]-stream-002-000-repaired.mcap"
+    assert open_log(made.saved).n_steps == 27
+    assert list(folder.iterdir()) == [path]
 
 
 class KilledError(Exception):

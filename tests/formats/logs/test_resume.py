@@ -176,6 +176,19 @@ def test_a_resume_cut_short_between_two_files_is_done_again(
     assert run.finish() == never_killed[1]
 
 
+def test_files_of_other_names_stay_where_they_are(
+    made_up: Any, records: list[Record], never_killed: Any, tmp_path: Path
+) -> None:
+    run = Run(tmp_path, made_up, records, 1)
+    run.kill(13, 1.0)
+    others = ["stream-002-000-repaired.mcap", "stream-002-0000.mcap", "stream-002-new.mcap"]
+    for name in others:
+        (tmp_path / name).write_text(name)
+    made = run.finish()
+    assert {name: made.pop(name).decode() for name in others} == {name: name for name in others}
+    assert made == never_killed[1]
+
+
 def test_a_run_that_goes_another_way_is_an_error_and_the_old_log_is_kept(
     made_up: Any, records: list[Record], tmp_path: Path
 ) -> None:
