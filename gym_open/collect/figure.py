@@ -17,6 +17,8 @@ BLUE, SKY, ORANGE, VERMILION, GREEN, PURPLE, GREY = (
     "#0072B2", "#56B4E9", "#E69F00", "#D55E00", "#009E73", "#CC79A7", "#777777",
 )  # fmt: skip
 """Colours that colour-blind readers tell apart (Okabe and Ito)."""
+MOST_NUMBERED = 40
+"""Worlds whose visits are written over their bars; of more, the numbers would run into one another."""
 STREAMS = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (PURPLE, ":"))
 """Colour and dash of a stream; after the fourth they come again."""
 
@@ -135,9 +137,11 @@ def _entry_and_exit(axes: "Axes", stays: list[Stay], curriculum: CurriculumConfi
 def _worlds(axes: "Axes", worlds: list[dict[str, Any]]) -> None:
     from matplotlib.ticker import MaxNLocator
 
-    axes.set(title="Steps in each world, and visits", xlabel="world", ylabel="steps")
+    legible = len(worlds) <= MOST_NUMBERED
+    axes.set(title="Steps in each world" + ", and visits" * legible, xlabel="world", ylabel="steps")
     bars = axes.bar([row["world"] for row in worlds], [row["steps"] for row in worlds], color=BLUE)
-    axes.bar_label(bars, [str(row["visits"]) for row in worlds], fontsize=8)
+    if legible:
+        axes.bar_label(bars, [str(row["visits"]) for row in worlds], fontsize=8)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 
