@@ -119,13 +119,18 @@ class ExplorerConfig(Config, frozen=True, kw_only=True):
     curl: CurlConfig = CurlConfig()
     """Looked at if `world_model` is `curl`."""
     ppo: PPOConfig = EXPLORER_PPO
-    """The learner of the policy; its Adam, minibatches and epochs are the world model's too."""
+    """The learner of the policy; its Adam, minibatches and epochs are the world model's too; no `anneal_lr` here."""
 
     def __post_init__(self) -> None:
         if self.world_model == "none" and self.reward != "none":
             raise ValueError(
                 f"`reward` {self.reward!r} needs a world model, got `world_model` 'none'; choose icm, rnd or curl, or "
                 "give `reward` 'none'"
+            )
+        if self.ppo.anneal_lr:
+            raise ValueError(
+                "`ppo.anneal_lr` needs to know where a run ends, and exploration may end before its budget is spent: "
+                "give false, or train with `gym-open train policy`"
             )
 
     @property
@@ -138,5 +143,5 @@ class ExplorerConfig(Config, frozen=True, kw_only=True):
                 return f"{self.world_model}+random"
             case "error":
                 return self.world_model
-            case "ride":
-                return f"{self.world_model}+ride"
+            case reward:
+                return f"{self.world_model}+{reward}"

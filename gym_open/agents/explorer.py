@@ -6,6 +6,8 @@ encoder's weights while exploring to be important. There is no reward from outsi
 Whatever the world model, the policy and it look at the same random shift of a picture in the update, so that one pass
 through a shared encoder serves both; and every reward is divided by the running deviation of its discounted sum, which
 its own paper asks for only in RND, so that the coefficients of PPO mean the same for all.
+
+One gradient-norm clip, PPO's 0.5, spans policy and model, as one Adam does: the encoder that they share takes one step.
 """
 
 import math
@@ -27,6 +29,7 @@ from gym_open.agents.ppo import Rollout, gae, policy_loss, value_loss
 from gym_open.agents.rewards import OwnError, Reward, RewardScale, Ride
 from gym_open.agents.rnd import Rnd
 from gym_open.agents.world_model import Transitions, WorldModel
+from gym_open.errors import GymOpenError
 
 WORLD_MODELS: dict[WorldModelName, Callable[[ExplorerConfig, Encoder, int, torch.Generator], WorldModel]] = {
     "icm": lambda config, encoder, n_actions, init: Icm(encoder, config.icm, n_actions, init),
@@ -53,12 +56,13 @@ class Acted:
 
 @dataclass(frozen=True)
 class UpdateStats:
-    """Losses of an update, averaged over its minibatches; not a number where there is no model, or no policy."""
+    """Figures of an update, averaged over its minibatches; not a number where there is no model, or no policy."""
 
     world_model_loss: float
     policy_loss: float
     value_loss: float
     entropy: float
+    approx_kl: float
 
 
 @dataclass(frozen=True)
@@ -74,6 +78,10 @@ class Learned:
     reward: Tensor
     parts: Tensor
     stats: UpdateStats
+
+
+class DivergedError(GymOpenError):
+    """What the explorer gives is no longer finite: its weights are beyond repair."""
 
 
 class Explorer:
@@ -127,13 +135,17 @@ class Explorer:
 
     @torch.no_grad()
     def act(self, images: Tensor) -> Acted:
-        """Look at N observations, (N, 84, 84, 3) uint8, and choose an action for each."""
+        """Look at N observations, (N, 84, 84, 3) uint8, and choose an action for each.
+
+        Raises:
+            DivergedError: if the policy's probabilities are not finite.
+        """
         if self.policy is None:
             logits, values = torch.zeros(len(images), self.n_actions), torch.zeros(len(images))
         else:
             with autocast(self.config.ppo.precision):
                 logits, values = self.policy(self.policy.encoder.prepare(images))
-        logprobs = F.log_softmax(logits, dim=1)
+        logprobs = _finite(F.log_softmax(logits, dim=1), "the policy's probabilities are not finite")
         probs = logprobs.exp()
         actions = torch.multinomial(probs, 1, generator=self._act)
         entropy = -(probs * logprobs).sum(dim=1)
@@ -148,10 +160,13 @@ class Explorer:
         Args:
             images: what was seen before each of T steps and after the last, (T + 1, N, 84, 84, 3) uint8.
             acted: what `act` made of each of them; of the last, only the values count.
+
+        Raises:
+            DivergedError: if the world model's loss is not finite.
         """
         actions = torch.stack([one.actions for one in acted[:-1]])
         if self.model is None:
-            nothing = UpdateStats(math.nan, math.nan, math.nan, math.nan)
+            nothing = UpdateStats(*[math.nan] * 5)
             return Learned(torch.zeros(actions.shape), torch.zeros(*actions.shape, 0), nothing)
         self.model.watch(images[1:].flatten(0, 1))
         parts = torch.zeros(*actions.shape, 0)
@@ -163,11 +178,16 @@ class Explorer:
         return Learned(reward, parts, stats)
 
     def world_loss(self, transitions: Transitions, generator: torch.Generator) -> float:
-        """The world model's loss on B steps of one world, times its `loss_scale`; not a number without a model."""
+        """The world model's loss on B steps of one world, times its `loss_scale`; not a number without a model.
+
+        Raises:
+            DivergedError: if it is not finite.
+        """
         if self.model is None:
             return math.nan
         with autocast(self.config.ppo.precision):
-            return self.model.loss_scale * self.model.world_loss(transitions, generator)
+            loss = torch.tensor(self.model.world_loss(transitions, generator), dtype=torch.float64)
+        return self.model.loss_scale * float(_finite(loss, "the world model's loss is not finite"))
 
     def _batch(self, images: Tensor, actions: Tensor, acted: Sequence[Acted], reward: Tensor) -> "_Batch":
         """All steps of a rollout, with the advantages of the scaled reward."""
@@ -186,21 +206,24 @@ class Explorer:
 
     def _update(self, batch: "_Batch") -> UpdateStats:
         ppo = self.config.ppo
-        sums, count = torch.zeros(4), 0
+        sums, count, figures = torch.zeros(5), 0, torch.zeros(5)
         for _ in range(ppo.update_epochs):
             for chosen in torch.randperm(len(batch.obs), generator=self._learn).split(ppo.minibatch_size):
-                sums += self._minibatch(batch.take(chosen))
+                figures = self._minibatch(batch.take(chosen))
+                sums += figures
                 count += 1
+            if ppo.target_kl is not None and figures[4] > ppo.target_kl:
+                break
         return UpdateStats(*(sums / count).tolist())
 
     def _minibatch(self, batch: "_Batch") -> Tensor:
-        """One gradient step; returns world-model loss, policy loss, value loss and entropy."""
+        """One gradient step; returns the figures of `UpdateStats` in their order, (5,)."""
         assert self.model is not None
         assert self.optimizer is not None
         ppo = self.config.ppo
         shifts = draw_shifts(len(batch.obs), ppo.shift_pad, self._learn)
         features: Tensor | None = None
-        losses = torch.full((3,), math.nan)
+        figures = torch.full((4,), math.nan)
         loss = torch.zeros(())
         if self.policy is not None:
             with autocast(ppo.precision):
@@ -208,22 +231,24 @@ class Explorer:
                 logits, values = self.policy.heads(own)
             if self.policy.encoder is self.model.encoder:
                 features = own
-            losses = self._policy_losses(batch, logits, values)
-            loss = losses @ torch.tensor([1, ppo.vf_coef, -ppo.ent_coef])
+            figures = self._policy_figures(batch, logits, values)
+            loss = figures[:3] @ torch.tensor([1, ppo.vf_coef, -ppo.ent_coef])
         with autocast(ppo.precision):
             model_loss = self.model.loss(batch.transitions, shifts, self._learn, features)
+        _finite(model_loss, "the world model's loss is not finite")
         self.optimizer.zero_grad()
         (loss + model_loss).backward()
         nn.utils.clip_grad_norm_(self._modules.parameters(), ppo.max_grad_norm)
         self.optimizer.step()
         self.model.stepped()
-        return torch.cat([model_loss[None], losses]).detach()
+        return torch.cat([model_loss[None], figures]).detach()
 
-    def _policy_losses(self, batch: "_Batch", logits: Tensor, values: Tensor) -> Tensor:
-        """Policy loss, value loss and mean entropy, (3,)."""
+    def _policy_figures(self, batch: "_Batch", logits: Tensor, values: Tensor) -> Tensor:
+        """Policy loss, value loss, mean entropy, and KL divergence from the policy that played, (4,)."""
         ppo = self.config.ppo
         logprobs = F.log_softmax(logits, dim=1)
         logratio = logprobs.gather(1, batch.actions[:, None]).flatten() - batch.logprobs
+        kl = logratio.detach().exp() - 1 - logratio.detach()  # http://joschu.net/blog/kl-approx.html
         advantages = batch.advantages
         if ppo.norm_adv and len(advantages) > 1:
             advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
@@ -233,6 +258,7 @@ class Explorer:
                 policy_loss(logratio, advantages, ppo.clip_coef),
                 value_loss(values, batch.values, batch.returns, clip),
                 -(logprobs.exp() * logprobs).sum(dim=1).mean(),
+                kl.mean(),
             ]
         )
 
@@ -269,6 +295,12 @@ class _Batch:
 
     def take(self, chosen: Tensor) -> "_Batch":
         return _Batch(**{name: values.index_select(0, chosen) for name, values in vars(self).items()})
+
+
+def _finite(figures: Tensor, or_else: str) -> Tensor:
+    if not figures.isfinite().all():
+        raise DivergedError(or_else)
+    return figures
 
 
 def _generator(seed: int, name: str) -> torch.Generator:

@@ -45,7 +45,13 @@ class OwnError(Reward):
 class Ride(Reward):
     """Impact (Raileanu & Rocktäschel 2020): how far an action moved the world in the model's latent space.
 
-    There are no episodic counts: OPEn's text names only the distance, and play in a sandbox has no episodes.
+    Departures from the paper, each with its reason:
+
+    - No episodic counts: OPEn's text names only the distance, and play in a sandbox has no episodes.
+    - No clipping to ±1: a reward is divided by its running deviation, which bounds its scale without cutting off what
+      is most surprising.
+    - RIDE does not train its own forward and inverse model (10 · forward + 0.1 · inverse): the latent space is that of
+      whichever world model it is given, which learns by its own loss. That is OPEn's combination of parts.
     """
 
     parts = ("impact",)
@@ -62,7 +68,8 @@ class Ride(Reward):
 class RewardScale:
     """Divides rewards by the running deviation of their discounted sum (Burda et al. 2018, RND).
 
-    The sum runs on through switches of world: play is not episodic. The mean is not subtracted.
+    The sum runs on through switches of world: play is not episodic. The mean is not subtracted. Its discount is PPO's
+    γ (.95) in place of RND's .99: what is scaled then is the return that PPO estimates.
     """
 
     def __init__(self, n_streams: int, gamma: float) -> None:

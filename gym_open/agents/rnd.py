@@ -14,6 +14,7 @@ Departures from `openai/random-network-distillation`, each with its reason:
 - The deviation of a pixel counts as one grey level at least: most pixels of a table never change.
 - Pictures are shifted in the update, the target's as the predictor's; what comes in is the mean picture.
 - Non-episodic intrinsic value without a second head: there is no reward from outside.
+- The reward's running deviation discounts with PPO's γ, .95, not .99: the return that is scaled is the one estimated.
 """
 
 import torch

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from gym_open import artefacts, progress
-from gym_open.agents.explorer import Acted, Explorer, Learned
+from gym_open.agents.explorer import Acted, DivergedError, Explorer, Learned
 from gym_open.collect import checkpoint
 from gym_open.collect.config import CollectConfig
 from gym_open.collect.curriculum import RULES, Situation, smoothed
@@ -46,6 +46,7 @@ def collect(config: CollectConfig, out: Path) -> artefacts.Outcome:
     Raises:
         ConfigError: if there are more streams than worlds or steps, or the curriculum's rule looks at losses that the
             explorer does not have.
+        DivergedError: if what the learner gives is no longer finite.
         LogError: if a resumed run does not repeat the steps that had been logged after its checkpoint.
     """
     if config.streams > config.pool:
@@ -67,7 +68,13 @@ def _work(config: CollectConfig, folder: Path) -> Mapping[str, Any]:
     try:
         with ExitStack() as logs:
             exploration = Exploration(config, folder, logs)
-            exploration.run()
+            try:
+                exploration.run()
+            except DivergedError as error:
+                raise DivergedError(
+                    f"{error} after {exploration.record.steps} steps: learning has diverged; give a lower "
+                    f"`explorer.ppo.learning_rate`, got {config.explorer.ppo.learning_rate:g}"
+                ) from None
     finally:
         torch.set_num_threads(threads)
     exploration.finish()
@@ -151,9 +158,9 @@ class Exploration:
     def rollout(self, length: int) -> None:
         """Play `length` steps in every stream, learn from them, and log them."""
         images, acted, played = self._play(length)
-        learned = self.explorer.learn(torch.from_numpy(images), acted)
         self.record.rollouts += 1
         self.record.steps += length * self.config.streams
+        learned = self.explorer.learn(torch.from_numpy(images), acted)
         losses = [self._world_loss(stream, images[:, stream.index], played) for stream in self.streams]
         self._log(images, acted, played, learned, losses)
         entropy = float(torch.stack([one.entropy for one in acted[:-1]]).mean())

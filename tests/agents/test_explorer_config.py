@@ -1,8 +1,11 @@
 """Which explorers there are, and which are refused."""
 
+from typing import cast, get_args
+
 import pytest
 
 from gym_open.agents.config import ExplorerConfig, RewardName, WorldModelName
+from gym_open.agents.explorer import REWARDS, WORLD_MODELS
 from gym_open.config import decode
 from gym_open.errors import ConfigError
 
@@ -23,8 +26,22 @@ def test_explorers_have_the_papers_names(world_model: WorldModelName, reward: Re
     assert ExplorerConfig(world_model=world_model, reward=reward).name == name
 
 
-@pytest.mark.parametrize("reward", ["error", "ride"])
+def test_a_new_reward_has_a_name_too() -> None:
+    assert ExplorerConfig(world_model="icm", reward=cast("RewardName", "counts")).name == "icm+counts"
+
+
+def test_the_tables_hold_what_can_be_asked_for() -> None:
+    assert {*WORLD_MODELS, "none"} == set(get_args(WorldModelName))
+    assert {*REWARDS, "none"} == set(get_args(RewardName))
+
+
+@pytest.mark.parametrize("reward", REWARDS)
 def test_a_reward_without_a_world_model_is_refused(reward: str) -> None:
     raw = {"world_model": "none", "reward": reward}
     with pytest.raises(ConfigError, match=rf"`reward` '{reward}' needs a world model, got `world_model` 'none'"):
         decode(raw, ExplorerConfig, source="collect.toml")
+
+
+def test_a_learning_rate_that_falls_towards_the_end_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"`ppo\.anneal_lr` needs to know where a run ends.*give false"):
+        decode({"ppo": {"anneal_lr": True}}, ExplorerConfig, source="collect.toml")

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from gym_open import artefacts
+from gym_open.agents.explorer import DivergedError
 from gym_open.collect import stuck
 from gym_open.collect.config import CollectConfig
 from gym_open.collect.explore import collect
@@ -309,3 +310,13 @@ def test_what_cannot_be_is_refused(tiny: CollectConfig, tmp_path: Path, changes:
         collect(changed(tiny, **changes), tmp_path / "log")
     assert str(error.value) == words
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_learner_that_diverges_says_when_and_what_to_change(tiny: CollectConfig, tmp_path: Path) -> None:
+    ppo = msgspec.structs.replace(tiny.explorer.ppo, learning_rate=1e9)
+    words = (
+        r"not finite after \d+ steps: learning has diverged; give a lower `explorer\.ppo\.learning_rate`, got 1e\+09"
+    )
+    with pytest.raises(DivergedError, match=words) as caught:
+        collect(changed(tiny, explorer={"ppo": ppo}), tmp_path / "log")
+    assert caught.value.exit_code == 1

@@ -4,12 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from gym_open.config import Config, PositiveInt, check, decode, load, to_dict
+from gym_open.config import Config, PositiveFloat, PositiveInt, check, decode, load, to_dict
 from gym_open.errors import ConfigError
 
 
 class Inner(Config, frozen=True, kw_only=True):
     rate: float = 0.5
+    scale: PositiveFloat = 1.0
 
 
 class Outer(Config, frozen=True, kw_only=True):
@@ -27,7 +28,7 @@ def _write(tmp_path: Path, text: str) -> Path:
 def test_values_come_from_the_file_and_defaults_from_the_type(tmp_path: Path) -> None:
     config = load(_write(tmp_path, "budget = 7\n[inner]\nrate = 1\n"), Outer)
     assert config == Outer(budget=7, inner=Inner(rate=1.0))
-    assert to_dict(config) == {"budget": 7, "name": "x", "inner": {"rate": 1.0}}
+    assert to_dict(config) == {"budget": 7, "name": "x", "inner": {"rate": 1.0, "scale": 1.0}}
 
 
 @pytest.mark.parametrize(
@@ -40,6 +41,9 @@ def test_values_come_from_the_file_and_defaults_from_the_type(tmp_path: Path) ->
         ("budget = -3", ["key `budget`", ">= 1", "got -3"]),
         ("budget = 1.5", ["key `budget`", "got 1.5"]),
         ('[inner]\nrate = "fast"', ["key `inner.rate`", "got 'fast'"]),
+        ("[inner]\nscale = 0.0", ["key `inner.scale`", "got 0.0"]),
+        ("[inner]\nscale = inf", ["key `inner.scale`", "got inf"]),
+        ("[inner]\nscale = nan", ["key `inner.scale`", "got nan"]),
         ("budget = = 2", ["not valid TOML"]),
     ],
 )
