@@ -1,6 +1,6 @@
 """Reading a log: checked byte for byte when it is opened, then as much of it in memory at a time as is asked for."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,6 +26,8 @@ from gym_open.formats.logs.segments import decode_record, groups, segments
 RESTORE = "restore the file from a copy, or run the `gym-open collect` command that wrote it again (it goes on)"
 REPAIR = f"{RESTORE}, or save what is whole with `gym-open log repair`"
 """The remedy where there is something that can be saved."""
+MAX_NESTING = 64
+"""Levels of lists and tables that a configuration may have: ours have three, and Python gives up at some thousand."""
 UNFINISHED = "it has no last switch: its writer was not finished"
 
 
@@ -218,15 +220,30 @@ def _parse_head(contents: Contents) -> tuple[LogHead, int]:
     if (step_ns := _number(head, "step_ns")) != schemas.STEP_NS:
         raise ValueError(f"step_ns: expected {schemas.STEP_NS}, got {step_ns}")
     pool = msgspec.json.decode(contents.attachments[schemas.POOL], type=list[msgspec.Raw])
+    config = msgspec.json.decode(contents.attachments[schemas.CONFIG], type=dict[str, Any])
+    _check_nesting(config)
     return LogHead(
         stream=_number(head, "stream"),
-        config=msgspec.json.decode(contents.attachments[schemas.CONFIG], type=dict[str, Any]),
+        config=config,
         puzzles=tuple(Puzzle.from_json(bytes(raw)) for raw in pool),
         provenance=contents.metadata.get(schemas.PROVENANCE, {}),
         model_xml=contents.attachments[schemas.MODEL].decode(),
         reward_parts=msgspec.json.decode(head["reward_parts"], type=tuple[str, ...]),
         keyframe_every=_number(head, "keyframe_every", least=1),
     ), _number(head, "part")
+
+
+def _check_nesting(value: Any) -> None:
+    """Raises RecursionError as the decoder does, before something else would."""
+    level = [value]
+    for _ in range(MAX_NESTING):
+        level = [item for one in level if isinstance(one, dict | list) for item in _items(one)]
+    if level:
+        raise RecursionError
+
+
+def _items(value: dict[str, Any] | list[Any]) -> Iterable[Any]:
+    return value.values() if isinstance(value, dict) else value
 
 
 def _number(head: dict[str, str], name: str, *, least: int = 0) -> int:

@@ -196,7 +196,12 @@ DEEP = b"[" * 200_000 + b"]" * 200_000
 
 @pytest.mark.parametrize(
     ("name", "data"),
-    [("config.json", b'{"a":' + DEEP + b"}"), ("puzzles.json", DEEP), ("puzzles.json", b'[{"task":' + DEEP + b"}]")],
+    [
+        ("config.json", b'{"a":' + DEEP + b"}"),
+        ("config.json", b'{"a":' + b"[" * 70 + b"]" * 70 + b"}"),
+        ("puzzles.json", DEEP),
+        ("puzzles.json", b'[{"task":' + DEEP + b"}]"),
+    ],
 )
 def test_brackets_without_end_are_refused(
     whole: Path, tmp_path: Path, name: str, data: bytes, capsys: pytest.CaptureFixture[str]
