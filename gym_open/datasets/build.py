@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 from gym_open import artefacts, progress
 from gym_open.datasets.card import card
 from gym_open.datasets.config import ReleaseConfig
-from gym_open.datasets.features import Features, features
 from gym_open.datasets.frames import LENGTH_CAP, encode_pngs, numbers
 from gym_open.datasets.lerobot_files import DataFiles, write_episodes, write_info, write_stats, write_tasks
 from gym_open.datasets.splits import Split, held_out, split_of
@@ -20,7 +19,8 @@ from gym_open.datasets.statistics import Moments, PictureMoments
 from gym_open.datasets.tables import segment_row, write_tables
 from gym_open.errors import ArtefactError
 from gym_open.formats.pictures import workers
-from gym_open.formats.releases import IMAGE
+from gym_open.formats.releases.features import Features, features
+from gym_open.formats.releases.layout import IMAGE
 
 if TYPE_CHECKING:
     from gym_open.formats.logs.reader import Log

@@ -4,7 +4,7 @@ from collections import Counter
 from typing import Any
 
 from gym_open.datasets.config import ReleaseConfig
-from gym_open.datasets.features import Features, fps
+from gym_open.formats.releases.features import Features, fps
 
 _CARD = """\
 ---

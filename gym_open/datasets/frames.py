@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gym_open.datasets.features import fps
 from gym_open.envs.constants import N_ACTIONS
 from gym_open.formats.pictures import encode_png
+from gym_open.formats.releases.features import fps
 
 if TYPE_CHECKING:
     from gym_open.formats.logs.schemas import Segment

@@ -11,8 +11,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from gym_open.artefacts import canonical_json
-from gym_open.datasets.features import Features, fps, schema
-from gym_open.formats.releases import CODEBASE_VERSION, EPISODES_PATH, IMAGE, INFO_PATH, STATS_PATH, TASKS_PATH
+from gym_open.formats.releases.features import Features, fps, schema
+from gym_open.formats.releases.layout import CODEBASE_VERSION, EPISODES_PATH, IMAGE, INFO_PATH, STATS_PATH, TASKS_PATH
 
 CHUNK_FILES = 1000
 """Files in a chunk folder."""

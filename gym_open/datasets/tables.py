@@ -10,7 +10,7 @@ import pyarrow as pa
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.datasets.lerobot_files import write_table
 from gym_open.datasets.splits import split_of
-from gym_open.formats.releases import Table
+from gym_open.formats.releases.layout import Table
 
 if TYPE_CHECKING:
     from gym_open.formats.logs.reader import Log

@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gym_open.datasets.features import features
 from gym_open.datasets.frames import numbers
 from gym_open.datasets.statistics import Moments, PictureMoments
 from gym_open.envs.puzzles.generators import sample_puzzle
 from gym_open.formats.logs.schemas import Segment
 from gym_open.formats.pictures import decode_png, encode_png
+from gym_open.formats.releases.features import features
 
 NAMES = ("agent", "yellow_0")
 PUZZLE = sample_puzzle("sandbox", np.random.default_rng(0))

@@ -7,7 +7,7 @@ import msgspec
 import pyarrow as pa
 
 from gym_open.envs.constants import CONTROL_DT_S, IMAGE_SIZE, N_ACTIONS
-from gym_open.formats.releases import IMAGE
+from gym_open.formats.releases.layout import IMAGE
 
 STATE_FIELDS = ("x", "y", "z", "qw", "qx", "qy", "qz", "vx", "vy", "vz", "wx", "wy", "wz")
 """Position (m), quaternion, linear velocity (m/s), angular velocity (rad/s) of one object, in the world frame."""

@@ -13,7 +13,7 @@ import functools
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -21,20 +21,11 @@ import numpy as np
 from gym_open import artefacts
 from gym_open.errors import ArtefactError
 from gym_open.formats.pictures import decode_png, workers
+from gym_open.formats.releases.layout import CODEBASE_VERSION, EPISODES_PATH, IMAGE, INFO_PATH, Table
 
 if TYPE_CHECKING:  # heavy, and needed only when something is read
     import pandas as pd
     import pyarrow as pa
-
-IMAGE = "observation.image"
-"""Feature that holds the picture; all others are numbers."""
-
-INFO_PATH, STATS_PATH, TASKS_PATH = "meta/info.json", "meta/stats.json", "meta/tasks.parquet"
-EPISODES_PATH = "meta/episodes/chunk-000/file-000.parquet"
-CODEBASE_VERSION = "v3.0"
-
-Table = Literal["streams", "worlds", "switches", "segments"]
-"""Tables of our own beside LeRobot's: `meta/<name>.parquet`."""
 
 _CACHED_GROUPS = 512
 """Row groups whose PNG bytes stay in memory: about 1,000 frames each, so at most about 1.5 GB at 2.7 kB a frame."""
