@@ -12,7 +12,7 @@ from typing import Any, get_type_hints
 import tyro
 
 import gym_open
-from gym_open.cli import logs, stages, world
+from gym_open.cli import datasets, logs, stages, world
 from gym_open.cli.base import Command
 from gym_open.config import check, load
 from gym_open.envs.look.backend import check_backend
@@ -26,7 +26,17 @@ COMMANDS: dict[str, type[Command]] = {
     "log info": logs.LogInfo,
     "log replay": logs.LogReplay,
     "log repair": logs.LogRepair,
-    "dataset build": stages.DatasetBuild,
+    "dataset build": datasets.DatasetBuild,
+    "dataset verify": datasets.DatasetVerify,
+    "dataset diff": datasets.DatasetDiff,
+    "dataset info": datasets.DatasetInfo,
+    "dataset list": datasets.DatasetList,
+    "dataset merge": datasets.DatasetMerge,
+    "dataset filter": datasets.DatasetFilter,
+    "dataset export": datasets.DatasetExport,
+    "dataset sign": datasets.DatasetSign,
+    "dataset push": datasets.DatasetPush,
+    "dataset pull": datasets.DatasetPull,
     "train encoder": stages.TrainEncoder,
     "train policy": stages.TrainPolicy,
     "train probe": stages.TrainProbe,

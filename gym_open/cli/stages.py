@@ -11,7 +11,6 @@ from gym_open import workspace
 from gym_open.cli.base import Command, out, report, say
 from gym_open.collect.config import CollectConfig
 from gym_open.config import Config
-from gym_open.datasets.config import ReleaseConfig
 from gym_open.evaluate.config import EvaluateConfig
 from gym_open.summary import probe_table, proof_text, score_table, short, word
 from gym_open.train.config import EncoderTrainConfig, PolicyTrainConfig, ProbeConfig
@@ -71,31 +70,6 @@ class Collect(StageCommand):
             f"gym-open dataset build --logs {path}",
             f"gym-open viz {path} --save {_recording(made.path)}",
         )
-
-
-@dataclass(frozen=True, kw_only=True)
-class DatasetBuild(StageCommand):
-    """Turn logs into a LeRobot v3.0 release, frames bit-exact.
-
-    Example: gym-open dataset build --logs collect/logs/curl-ride --out datasets/open/explore
-    """
-
-    settings: Settings[ReleaseConfig]
-    logs: Path
-    """Folder of logs that `gym-open collect` made."""
-    out: Path | None = None
-    """Folder of the release; default datasets/open/ and the configuration's name."""
-
-    default = "datasets/explore.toml"
-    about = "logs to a LeRobot release"
-
-    def run(self) -> None:
-        """Build."""
-        from gym_open.datasets.build import build_release
-
-        made = build_release(self.settings, self.logs, self.place(self.out, "datasets/open"))
-        path = word(made.path)
-        report(made, f"gym-open train encoder --release {path}", f"gym-open viz {path} --save {_recording(made.path)}")
 
 
 @dataclass(frozen=True, kw_only=True)

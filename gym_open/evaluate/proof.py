@@ -1,7 +1,8 @@
 """The task-free proof: nothing that an encoder learned from knew of a task, a reward or an evaluation puzzle.
 
-The chain policy → encoder → release → log is walked in the lineage that the policy carries. Each link's digest is
-recomputed from the records in it, so that a record changed afterwards breaks the chain.
+The chain policy → encoder → release → log is walked in the lineage that the policy carries; a release may be made of
+other releases, down to their logs. Each link's digest is recomputed from the records in it, so that a record changed
+afterwards breaks the chain.
 """
 
 from collections.abc import Iterator
@@ -37,7 +38,7 @@ def task_free_proof(policy: Lineage | None) -> Proof:
     reasons: list[str] = []
     chain: list[str] = []
     for parent in policy.parents:
-        for line, faults in _walk(parent, "encoder", fixed):
+        for line, faults in _walk(parent, ("encoder",), fixed):
             chain.append(line)
             reasons.extend(faults)
     return Proof(verdict="missing" if reasons else "proven", reasons=reasons, chain=chain)
@@ -49,14 +50,14 @@ def oracle_proof() -> Proof:
     return Proof(verdict="not applicable", reasons=[reason], chain=[])
 
 
-_BELOW = {"encoder": "release", "release": "log"}
+_BELOW = {"encoder": ("release",), "release": ("log", "release")}
 
 
-def _walk(link: Parent, expected: str, fixed: frozenset[str]) -> Iterator[tuple[str, list[str]]]:
+def _walk(link: Parent, expected: tuple[str, ...], fixed: frozenset[str]) -> Iterator[tuple[str, list[str]]]:
     name = f"{link.lineage.kind} {link.digest[:12]}"
     faults = []
-    if link.lineage.kind != expected:
-        faults.append(f"{name}: expected a link of kind {expected!r}")
+    if link.lineage.kind not in expected:
+        faults.append(f"{name}: expected a link of kind {' or '.join(map(repr, expected))}")
     if not link.is_consistent():
         faults.append(f"{name}: its records do not match its digest")
     if link.lineage.kind == "log":
@@ -65,7 +66,7 @@ def _walk(link: Parent, expected: str, fixed: frozenset[str]) -> Iterator[tuple[
         faults.append(f"{name}: its parents are not recorded")
     yield name, faults
     for parent in link.lineage.parents:
-        yield from _walk(parent, _BELOW.get(link.lineage.kind, "log"), fixed)
+        yield from _walk(parent, _BELOW.get(link.lineage.kind, ("log",)), fixed)
 
 
 def _faults_of_log(facts: dict[str, object], fixed: frozenset[str]) -> Iterator[str]:

@@ -73,6 +73,18 @@ def test_a_chain_that_skips_the_release_is_named(tmp_path: Path) -> None:
     assert "expected a link of kind 'release'" in proof.reasons[0]
 
 
+@pytest.mark.parametrize("facts", [CLEAN, {**CLEAN, "task": "tool-use"}])
+def test_a_release_of_releases_is_followed_to_every_log(tmp_path: Path, facts: Mapping[str, Any]) -> None:
+    """Merged, filtered, or appended to: each of the logs below counts."""
+    logs = [_artefact(tmp_path / f"log-{i}", "log", [], found) for i, found in enumerate((CLEAN, facts))]
+    releases = [_artefact(tmp_path / f"of-{log.name}", "release", [log], {}) for log in logs]
+    merged = _artefact(tmp_path / "merged", "release", releases, {})
+    encoder = _artefact(tmp_path / "encoder", "encoder", [merged], {})
+    proof = _prove(_artefact(tmp_path / "policy", "policy", [encoder], {}))
+    assert [link.split()[0] for link in proof.chain] == ["encoder", "release", "release", "log", "release", "log"]
+    assert proof.verdict == ("proven" if facts == CLEAN else "missing")
+
+
 def test_a_forged_fact_breaks_the_chain(tmp_path: Path) -> None:
     policy = _policy(tmp_path, {**CLEAN, "task": "goal-seeking"})
     path = policy / "lineage.json"
