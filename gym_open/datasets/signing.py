@@ -1,0 +1,159 @@
+"""Signatures of releases: a sigstore bundle at `signature.json`, made and checked off-line with an elliptic-curve key.
+
+The bundle is that of model-signing, which verifies it without us; it covers every file of the release but itself.
+"""
+
+import hashlib
+import json
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gym_open import artefacts
+from gym_open.artefacts import SIGNATURE
+from gym_open.errors import ArtefactError, GymOpenError, UsageError
+
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePublicKey
+    from model_signing.hashing import Config as Hashing
+
+_MAKE_A_KEY = "make one with: openssl ecparam -name prime256v1 -genkey -noout -out KEY.pem"
+_PUBLIC_OF = "its public half is made with: openssl ec -in KEY.pem -pubout -out KEY.pub"
+
+
+def sign_release(root: Path, key: Path) -> Path:
+    """Sign the whole release at `root` and return the path of its signature.
+
+    A signature by the same key that still holds is left as it is: two signatures of the same bytes differ.
+
+    Args:
+        root: folder of a release; every byte of it is checked first.
+        key: PEM file of a private key on the curve P-256, P-384 or P-521, without a password.
+
+    Raises:
+        ArtefactError: if the release is damaged.
+        UsageError: if the key is missing or of another kind.
+        GymOpenError: if model-signing is not installed.
+    """
+    signing, hashing = _library()
+    artefacts.verify(root, "release")
+    public = _load(key, private=True)
+    with tempfile.TemporaryDirectory() as folder:
+        pem, bundle = Path(folder) / "key.pub", Path(folder) / SIGNATURE
+        pem.write_bytes(_pem(public))
+        with suppress(ArtefactError):
+            check_signature(root, pem)
+            return root / SIGNATURE
+        config = signing.signing.Config().use_elliptic_key_signer(private_key=key)
+        config.set_hashing_config(hashing).sign(root.resolve(), bundle)
+        artefacts.write_atomically(root / SIGNATURE, bundle.read_bytes())
+    return root / SIGNATURE
+
+
+def check_signature(root: Path, key: Path | None) -> str:
+    """Say in a line who signed the release at `root`, and with `key` check it against every byte.
+
+    Args:
+        root: folder of a release.
+        key: PEM file of the signer's public key; without it nothing is checked.
+
+    Raises:
+        ArtefactError: if there is a key and no signature, the signature is of another key or of other bytes, or it is
+            no sigstore bundle.
+        UsageError: if the key is missing or of another kind.
+        GymOpenError: if there is a key and model-signing is not installed.
+    """
+    path = root / SIGNATURE
+    if key is None:
+        return f"signed by {_hint(path)}, not checked: give --key" if path.exists() else "not signed"
+    signing, hashing = _library()
+    fingerprint = _fingerprint(_load(key, private=False))
+    if not path.is_file():
+        raise ArtefactError(f"{path}: missing: the release is not signed, and --key asks for a signature")
+    if (hint := _hint(path)) != fingerprint:
+        raise ArtefactError(f"{path}: signed by the key {hint}, not by {key} ({fingerprint}); is it the signer's key?")
+    try:
+        config = signing.verifying.Config().set_hashing_config(hashing).use_elliptic_key_verifier(public_key=key)
+        config.verify(root.resolve(), path)
+        _check_whole(root, path)
+    except Exception as error:  # what a hostile bundle makes the parsers under model-signing raise is not to be listed
+        what = str(error) or type(error).__name__
+        raise ArtefactError(f"{path}: does not hold for this release: {what}; get it anew from its source") from None
+    return f"signed by the key {fingerprint}"
+
+
+def _library() -> "tuple[Any, Hashing]":
+    try:
+        import model_signing
+    except ImportError:
+        raise GymOpenError("signatures need model-signing: pip install 'gym-open[sign]'") from None
+    hashing = model_signing.hashing.Config().set_ignored_paths(paths=[SIGNATURE], ignore_git_paths=False)
+    return model_signing, hashing
+
+
+def _load(key: Path, *, private: bool) -> "EllipticCurvePublicKey":
+    """The public key in `key`, or the public half of the private one."""
+    from cryptography.hazmat.primitives import serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+
+    try:
+        data = key.read_bytes()
+    except OSError as error:
+        raise UsageError(f"{key}: no key can be read there ({error.strerror}); {_MAKE_A_KEY}") from None
+    wanted = "a private key" if private else "a public key"
+    remedy = _MAKE_A_KEY if private else _PUBLIC_OF
+    try:
+        if private:
+            found: Any = serialization.load_pem_private_key(data, password=None).public_key()
+        else:
+            found = serialization.load_pem_public_key(data)
+    except TypeError:
+        raise UsageError(f"{key}: has a password; give one without: openssl ec -in KEY.pem -out PLAIN.pem") from None
+    except Exception:  # cryptography raises its own kinds by format
+        raise UsageError(f"{key}: not {wanted} in PEM form; {remedy}") from None
+    if not (isinstance(found, ec.EllipticCurvePublicKey) and found.key_size in {256, 384, 521}):
+        raise UsageError(f"{key}: must be {wanted} on the curve P-256, P-384 or P-521; {remedy}")
+    return found
+
+
+def _pem(key: "EllipticCurvePublicKey") -> bytes:
+    from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
+
+    return key.public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
+
+
+def _fingerprint(key: "EllipticCurvePublicKey") -> str:
+    """SHA-256 of the public key's PEM form: what model-signing calls the key's hint."""
+    return hashlib.sha256(_pem(key)).hexdigest()
+
+
+def _hint(path: Path) -> str:
+    """Which key a bundle says that it is signed with; nothing proves it."""
+    try:
+        hint = json.loads(path.read_bytes())["verificationMaterial"]["publicKey"]["hint"]
+        bytes.fromhex(hint)
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        raise ArtefactError(f"{path}: not a sigstore bundle that names its key; sign the release again") from None
+    return hint
+
+
+def _check_whole(root: Path, path: Path) -> None:
+    """Check what model-signing leaves open: parts of the bundle that it does not read, and files that a signer left out.
+
+    Raises:
+        ValueError: if the bundle is not byte for byte what its parsed content is written as, or covers too little.
+    """
+    from sigstore_models.bundle.v1 import Bundle
+
+    data = path.read_bytes()
+    bundle = Bundle.from_json(data)
+    envelope = bundle.dsse_envelope
+    if envelope is None or bundle.to_json().encode() != data:
+        raise ValueError("the bundle holds bytes that are not signed")
+    if [item.keyid for item in envelope.signatures] != [""] or bundle.verification_material.tlog_entries:
+        raise ValueError("the bundle holds fields that are not signed")
+    covered = {item["name"] for item in json.loads(envelope.payload)["predicate"]["resources"]}
+    present = {item.relative_to(root).as_posix() for item in root.rglob("*") if item.is_file()} - {SIGNATURE}
+    if covered != present:
+        raise ValueError(f"the signature leaves out {', '.join(sorted(present - covered))}")
