@@ -5,22 +5,64 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from gym_open.config import Config, Fraction, PositiveInt, Seed
+from gym_open.formats.releases.layout import Split
 
 Name = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9-]*/[a-z0-9][a-z0-9-]*$")]
+Version = Annotated[str, Meta(pattern=r"^(0|[1-9]\d{0,5})\.(0|[1-9]\d{0,5})\.(0|[1-9]\d{0,5})$")]
+Date = Annotated[str, Meta(pattern=r"^(\d{4}-(0[1-9]|1[0-2])-(0[1-9]|[12]\d|3[01]))?$")]
+PuzzleDigest = Annotated[str, Meta(pattern=r"^[0-9a-f]{6,64}$")]
 
 
-class ReleaseConfig(Config, frozen=True):
+class Header(Config, frozen=True):
+    """What every release says of itself, however it was made."""
+
+    name: Name = "open/explore"
+    """Namespace and name, as a hub would have it."""
+    version: Version = "1.0.0"
+    """Semantic version. Of two versions, the second must say what it did to the first."""
+    license: Literal["mit", "cc-by-4.0", "cc0-1.0"] = "mit"
+    """SPDX identifier of the licence, in small letters as on the hub."""
+    published: Date = ""
+    """Day of publication, YYYY-MM-DD, or nothing. No clock is ever read."""
+
+
+class ReleaseConfig(Header, frozen=True):
     """Logs to a dataset release in LeRobot v3.0 layout."""
 
-    name: Name = "open/explore-mini"
-    """Namespace and name, as a hub would have it."""
     split_by: Literal["stream", "world"] = "world"
     """What train and val never share. Worlds are told apart by layout, over all streams."""
     val_fraction: Fraction = 0.1
-    """Share of the worlds (or streams) set aside for val, rounded; with few of them that can be none."""
-    max_episode_steps: PositiveInt = 1000
-    """A longer segment becomes several episodes. Such a cut is no switch: `ended` says `length_cap`."""
+    """Share of the worlds (or streams) set aside for val, rounded; one at least of each where there are two."""
+    max_episode_steps: PositiveInt = 1024
+    """A longer segment becomes several episodes. Such a cut is no switch: `ended` says `length_cap`. A multiple of the
+    logs' distance between keyframes makes every episode begin with one."""
     data_file_mb: PositiveInt = 100
     """A new data file is begun at this size in memory, in MiB; an episode is never torn."""
+    pictures: Literal["png", "video"] = "png"
+    """PNG files in parquet, bit for bit the logs', or H.264 video, which is smaller and not."""
     seed: Seed = 0
     """Root seed; decides which worlds or streams are set aside."""
+
+
+class MergeConfig(Header, frozen=True):
+    """Several releases to one."""
+
+    data_file_mb: PositiveInt = 100
+    """As in `ReleaseConfig`."""
+
+
+class FilterConfig(Header, frozen=True):
+    """Some episodes of a release to one of their own. An episode must meet every condition that is given."""
+
+    explorer: tuple[str, ...] = ()
+    """Names of explorers, as `icm` or `curl+ride`."""
+    world: tuple[PuzzleDigest, ...] = ()
+    """Digests of layouts, or the first six digits or more of them."""
+    min_contact: Fraction = 0.0
+    """Least share of the episode's steps in which the agent touches something."""
+    min_coverage: Fraction = 0.0
+    """Least share of the table's 5 cm cells that the agent visits in the episode."""
+    split: tuple[Split, ...] = ()
+    """Splits to take."""
+    data_file_mb: PositiveInt = 100
+    """As in `ReleaseConfig`."""

@@ -1,0 +1,121 @@
+"""Digests of what a release holds: the same under other compression, row groups, PNG encoders or cuts into files.
+
+    feature   SHA-256 over {"dtype", "shape"} and the frames' values, little-endian, in C order; pictures as decoded RGB
+    episode   SHA-256 over its features' digests and what is known of it; the same wherever in a release it stands
+    release   SHA-256 over the features' description, the episodes in their order, and our tables
+
+All of them in hex. What stands for "digests of a file" depends on how the release is cut into files, the others do not.
+"""
+
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from gym_open.artefacts import canonical_json
+from gym_open.formats.releases.layout import RECORDS, SIGNATURE
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+EPISODE_FACTS = ("puzzle", "explorer", "world", "steps", "continued", "ended", "split")
+"""Columns of `meta/episodes` that are a part of an episode's content."""
+EPISODE_PLACES = ("stream", "segment", "piece", "first_step")
+"""Columns of `meta/episodes` that say where in the play an episode comes from: a part of the release's content."""
+
+
+class _Hash(Protocol):
+    def update(self, data: Any, /) -> None: ...
+
+
+def _sha256(value: Any) -> str:
+    return hashlib.sha256(canonical_json(value)).hexdigest()
+
+
+def feature_digest(values: np.ndarray) -> str:
+    """Content digest of one feature in one episode: `values` has a row a frame."""
+    array = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
+    total = hashlib.sha256(canonical_json({"dtype": array.dtype.name, "shape": list(array.shape)}))
+    total.update(array.data)
+    return total.hexdigest()
+
+
+def episode_digest(features: Mapping[str, str], row: Mapping[str, Any]) -> str:
+    """Content digest of an episode.
+
+    Args:
+        features: `feature_digest` of each feature but the bookkeeping.
+        row: its row of `meta/episodes`, of which `EPISODE_FACTS` count.
+    """
+    return _sha256({"features": dict(features), **{name: row[name] for name in EPISODE_FACTS}})
+
+
+def data_file_digest(episodes: Sequence[str]) -> str:
+    """Content digest of a data file (or of the video beside it) that holds these episodes, by their digests."""
+    return _sha256(list(episodes))
+
+
+def table_digest(table: "pa.Table") -> str:
+    """Content digest of a table: names, types and values of its columns, in the order of their names."""
+    total = hashlib.sha256()
+    for name in sorted(table.column_names):
+        column = table.column(name).combine_chunks()
+        total.update(canonical_json({"name": name, "type": str(column.type), "rows": len(column)}))
+        _add(total, column)
+    return total.hexdigest()
+
+
+def release_digest(
+    features: Mapping[str, Any], episodes: Iterable[str], places: "pa.Table", tables: "Mapping[str, pa.Table]"
+) -> str:
+    """Content digest of a release.
+
+    Args:
+        features: LeRobot's description of the features, of which `dtype`, `shape` and `names` count.
+        episodes: digests of the episodes, in their order.
+        places: the columns `EPISODE_PLACES` of `meta/episodes`.
+        tables: all rows of each of our tables but `content`, which holds digests itself.
+    """
+    described = {name: {key: item[key] for key in ("dtype", "shape", "names")} for name, item in features.items()}
+    return _sha256(
+        {
+            "features": described,
+            "episodes": list(episodes),
+            "places": table_digest(places.select(EPISODE_PLACES)),
+            "tables": {name: table_digest(table) for name, table in tables.items() if name != "content"},
+        }
+    )
+
+
+def payload_digest(manifest: Mapping[str, Any]) -> str:
+    """SHA-256 of a manifest without the records of code, packages and inputs: it outlives unrelated changes of code."""
+    return _sha256({name: entry for name, entry in manifest.items() if name not in {*RECORDS, SIGNATURE}})
+
+
+def _add(total: _Hash, array: "pa.Array") -> None:
+    """Values of a column, null or not, of numbers, text, lists and structures."""
+    import pyarrow as pa
+
+    if array.null_count:
+        total.update(np.packbits(array.is_valid().to_numpy(zero_copy_only=False)).data)
+    kind = array.type
+    if pa.types.is_struct(kind):
+        for i in range(kind.num_fields):
+            _add(total, array.field(i))
+    elif pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind):
+        _add_lengths(total, array.value_lengths())
+        _add(total, array.flatten())
+    elif pa.types.is_string(kind) or pa.types.is_binary(kind):
+        _add_lengths(total, array.binary_length())
+        total.update(b"".join(value.as_buffer() for value in array if value.is_valid))
+    elif pa.types.is_primitive(kind):
+        zero = False if pa.types.is_boolean(kind) else 0
+        values = array.fill_null(zero).to_numpy(zero_copy_only=False)
+        total.update(np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<")).data)
+    else:
+        raise TypeError(f"columns of type {kind} do not occur in a release")
+
+
+def _add_lengths(total: _Hash, lengths: "pa.Array") -> None:
+    total.update(lengths.fill_null(0).to_numpy(zero_copy_only=False).astype("<i8").data)
