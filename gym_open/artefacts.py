@@ -8,6 +8,8 @@ An artefact is a folder of payload files and three records:
 
 Its *digest* is the SHA-256 of manifest.json. No path, host, user name or time of day is in any of them, so the same
 inputs give the same digest in any folder. It is written in a hidden sibling folder and renamed when it is whole.
+
+A release may have a signature.json beside them: it signs the manifest, so it cannot be in it.
 """
 
 import errno
@@ -17,7 +19,9 @@ import hashlib
 import importlib.metadata
 import itertools
 import os
+import re
 import shutil
+import stat
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -30,8 +34,15 @@ from gym_open.config import Config, to_dict
 from gym_open.errors import ArtefactError, UsageError
 
 CONFIG, LINEAGE, MANIFEST = "config.json", "lineage.json", "manifest.json"
+SIGNATURE = "signature.json"
+"""Of a release, and made after it: the one file that its manifest does not list."""
 SCRATCH = "checkpoint"
 """Folder inside an unfinished artefact for whatever a resume needs; removed before sealing."""
+
+_MAX_RECORD_BYTES = 2**26
+"""A manifest or lineage is refused above this size: fifty times what a large release has."""
+_PART = re.compile(r"[A-Za-z0-9_+=,@-][A-Za-z0-9_+=,@.-]*")
+"""Part of a file's name in an artefact: nothing hidden, no way up, nothing that a shell or terminal takes amiss."""
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 """What writing to a full disk raises, often without the file's name."""
@@ -124,7 +135,7 @@ def digest(path: Path) -> str:
         ArtefactError: if there is no artefact.
     """
     manifest = path / MANIFEST
-    if not manifest.is_file():
+    if manifest.is_symlink() or not manifest.is_file():
         raise ArtefactError(f"{path}: not an artefact of gym-open ({MANIFEST} is missing); build it first")
     return sha256_file(manifest)
 
@@ -149,51 +160,116 @@ def _manifest(path: Path) -> dict[str, Entry]:
 
 def _read(path: Path, kind: Any) -> Any:
     try:
+        about = path.lstat()
+        if not stat.S_ISREG(about.st_mode) or about.st_size > _MAX_RECORD_BYTES:
+            raise ArtefactError(f"{path}: a link, a special file, or over {_MAX_RECORD_BYTES:,} bytes; get it anew")
         return msgspec.json.decode(path.read_bytes(), type=kind)
     except FileNotFoundError:
         raise ArtefactError(f"{path}: missing; the artefact is not whole, build it again") from None
-    except (msgspec.DecodeError, RecursionError) as error:
+    except (OSError, msgspec.DecodeError, RecursionError) as error:
         raise ArtefactError(f"{path}: not readable: {error}; build the artefact again") from None
 
 
-def _files(path: Path) -> Iterator[Path]:
-    for item in sorted(path.rglob("*")):
-        if item.is_symlink() or not (item.is_file() or item.is_dir()):
-            raise ArtefactError(f"{item}: links and special files do not belong in an artefact; remove it")
-        if item.is_file():
-            yield item
+_STRANGE = "links and special files do not belong in an artefact; remove it"
 
 
-def verify(path: Path, kind: str | None = None) -> str:
+class Problem(msgspec.Struct, frozen=True, order=True):
+    """Something that is wrong with a file of an artefact."""
+
+    file: str
+    """Its name below the artefact's folder, with slashes; as untrusted as the artefact."""
+    what: str
+    """What is wrong, and what to do."""
+
+
+def problems(path: Path, *, hashed: Callable[[str], bool] = lambda _: True) -> Iterator[Problem]:
+    """Everything that keeps the artefact at `path` from being what its manifest says, and whole.
+
+    Files that are missing, changed, extra, linked or special, folders without a file, names that leave the folder or
+    hold odd characters, and a manifest that is not written as `build` writes it. Hard links are files like others.
+
+    Args:
+        path: folder of the artefact.
+        hashed: of which files (by name) the bytes are read; of the others only the size is held against the manifest.
+
+    Raises:
+        ArtefactError: if there is no manifest, or it cannot be read.
+    """
+    digest(path)  # raises if there is none
+    manifest = _manifest(path)
+    if (path / MANIFEST).read_bytes() != canonical_json(manifest):
+        yield Problem(MANIFEST, "not written as gym-open writes it (changed bytes); restore it or build again")
+    for name in sorted({CONFIG, LINEAGE} - manifest.keys()):
+        yield Problem(name, f"not listed in {MANIFEST}; build again")
+    for name in sorted(manifest):
+        if not all(_PART.fullmatch(part) for part in name.split("/")) or name == MANIFEST:
+            yield Problem(name, f"a name that {MANIFEST} may not list: it leaves the folder, or has odd characters")
+    present, folders, strange = _walk(path)
+    yield from (Problem(name, _STRANGE) for name in strange)
+    with suppress(ArtefactError):  # a lineage that cannot be read is none of a release
+        if SIGNATURE not in manifest and lineage(path).kind == "release":
+            present.pop(SIGNATURE, None)
+    present.pop(MANIFEST, None)
+    for name in sorted((manifest.keys() | present.keys()) - set(strange)):
+        if what := _wrong(path / name, present.get(name), manifest.get(name), hashed(name)):
+            yield Problem(name, what)
+    for name in sorted(folders - {parent.as_posix() for file in present for parent in Path(file).parents}):
+        yield Problem(name, "a folder without a file in it; remove it")
+
+
+def _walk(root: Path) -> tuple[dict[str, int], set[str], list[str]]:
+    """Size of every file, all folders, and what is neither, by name; no link is followed."""
+    files: dict[str, int] = {}
+    folders: set[str] = set()
+    strange: list[str] = []
+    waiting = [""]
+    while waiting:
+        prefix = waiting.pop()
+        with os.scandir(root / prefix) as items:
+            for item in items:
+                name, about = prefix + item.name, item.stat(follow_symlinks=False)
+                if stat.S_ISDIR(about.st_mode):
+                    folders.add(name)
+                    waiting.append(f"{name}/")
+                elif stat.S_ISREG(about.st_mode):
+                    files[name] = about.st_size
+                else:
+                    strange.append(name)
+    return files, folders, sorted(strange)
+
+
+def _wrong(path: Path, size: int | None, expected: Entry | None, hashed: bool) -> str | None:
+    """What is wrong with one file, if anything."""
+    if expected is None:
+        return f"not listed in {MANIFEST}; remove the extra file"
+    if size is None:
+        return f"missing, but listed in {MANIFEST}; restore it or build again"
+    if size != expected.bytes:
+        return f"{size} bytes, {MANIFEST} says {expected.bytes}; restore it or build again"
+    try:
+        if hashed and sha256_file(path) != expected.sha256:
+            return f"its SHA-256 is not the one in {MANIFEST} (changed bytes); restore it or build again"
+    except OSError as error:
+        return f"cannot be read ({error.strerror or error}); make it readable, or restore it"
+    return None
+
+
+def verify(path: Path, kind: str | None = None, *, hashed: Callable[[str], bool] = lambda _: True) -> str:
     """Check every byte of the artefact at `path` and return its digest.
 
     Args:
         path: folder of the artefact.
         kind: if given, the kind that it must be (`log`, `release`, `encoder`, `policy`, …).
+        hashed: as `problems` has it: which files to read.
 
     Raises:
-        ArtefactError: naming the file that is missing, changed or extra, or the wrong kind.
+        ArtefactError: naming the first file that is missing, changed or extra, or the wrong kind.
     """
     found = digest(path)
     if kind is not None and lineage(path).kind != kind:
         raise ArtefactError(f"{path}: expected an artefact of kind {kind!r}, got {lineage(path).kind!r}")
-    manifest = _manifest(path)
-    present = {item.relative_to(path).as_posix(): item for item in _files(path)}
-    present.pop(MANIFEST)
-    for name in sorted(set(manifest) | set(present)):
-        if name not in present:
-            raise ArtefactError(f"{path / name}: missing, but listed in {MANIFEST}; restore it or build again")
-        if name not in manifest:
-            raise ArtefactError(f"{path / name}: not listed in {MANIFEST}; remove the extra file")
-        size, expected = present[name].stat().st_size, manifest[name]
-        if size != expected.bytes:
-            raise ArtefactError(
-                f"{path / name}: {size} bytes, {MANIFEST} says {expected.bytes}; restore it or build again"
-            )
-        if sha256_file(present[name]) != expected.sha256:
-            raise ArtefactError(
-                f"{path / name}: its SHA-256 is not the one in {MANIFEST} (changed bytes); restore it or build again"
-            )
+    for problem in problems(path, hashed=hashed):
+        raise ArtefactError(f"{path / problem.file}: {problem.what}")
     return found
 
 
@@ -273,10 +349,12 @@ def _claim(partial: Path, key: str) -> None:
 def _seal(partial: Path, config: Config, record: Lineage) -> None:
     write_atomically(partial / CONFIG, canonical_json(to_dict(config)))
     write_atomically(partial / LINEAGE, canonical_json(record))
-    names = {item.relative_to(partial).as_posix(): item for item in _files(partial)}
+    present, _, strange = _walk(partial)
+    for name in strange:
+        raise ArtefactError(f"{partial / name}: {_STRANGE}")
     entries = {
-        name: Entry(sha256=sha256_file(item), bytes=item.stat().st_size)
-        for name, item in names.items()
+        name: Entry(sha256=sha256_file(partial / name), bytes=size)
+        for name, size in present.items()
         if name != MANIFEST and not name.startswith(f"{SCRATCH}/")
     }
     write_atomically(partial / MANIFEST, canonical_json(entries))

@@ -25,7 +25,7 @@ TASK = "explore the sandbox: no task, no reward"
 def write_table(table: pa.Table, path: Path) -> None:
     """Write a small table as parquet (snappy: a later Rerun silently loads no episode from zstd)."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    pq.write_table(table, path, compression="snappy")
+    pq.write_table(table, path, compression="snappy", use_dictionary=False)
 
 
 def write_json(value: Any, path: Path) -> None:

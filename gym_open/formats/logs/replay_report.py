@@ -9,12 +9,12 @@ from rich.table import Table
 from gym_open import progress
 from gym_open.errors import UsageError
 from gym_open.formats.logs.reader import Log, open_log, open_logs
-from gym_open.formats.logs.replay import Verdict, Window, replay, same_model
+from gym_open.formats.logs.replay import replay, same_model
+from gym_open.formats.replaying import VERDICTS, Verdict, Window
 from gym_open.terminal import markup
 
 SHOWN = 12
 """Windows that are listed at most."""
-_VERDICTS: tuple[Verdict, ...] = ("identical", "within tolerance", "diverged")
 
 
 class Report(msgspec.Struct):
@@ -61,20 +61,21 @@ def _report(found: Sequence[tuple[Log, list[Window]]], tolerance: float) -> Repo
         for log, _ in found
         if not same_model(log)
     ]
-    tables = [_by_stream([windows for _, windows in found], tolerance)]
+    tables = [by_stream([windows for _, windows in found], tolerance)]
     others = [window for _, windows in found for window in windows if window.verdict != "identical"]
-    others.sort(key=lambda window: -_VERDICTS.index(window.verdict))
+    others.sort(key=lambda window: -VERDICTS.index(window.verdict))
     if others:
-        tables.append(_by_window(others))
-    report = Report(_worst(others), tables, notes)
+        tables.append(by_window(others))
+    report = Report(worst(others), tables, notes)
     if report.verdict == "diverged":
-        worst = others[0]
-        report.first_diverged = f"stream {worst.stream}, segment {worst.segment}, step {worst.first_diverged}"
+        first = others[0]
+        report.first_diverged = f"stream {first.stream}, segment {first.segment}, step {first.first_diverged}"
     return report
 
 
-def _worst(windows: Sequence[Window]) -> Verdict:
-    return _VERDICTS[max((_VERDICTS.index(window.verdict) for window in windows), default=0)]
+def worst(windows: Sequence[Window]) -> Verdict:
+    """The worst verdict of all windows."""
+    return VERDICTS[max((VERDICTS.index(window.verdict) for window in windows), default=0)]
 
 
 def _table(title: str, columns: Sequence[str]) -> Table:
@@ -84,12 +85,13 @@ def _table(title: str, columns: Sequence[str]) -> Table:
     return table
 
 
-def _by_stream(streams: Sequence[list[Window]], tolerance: float) -> Table:
+def by_stream(streams: Sequence[list[Window]], tolerance: float) -> Table:
+    """A row for each stream's windows."""
     title = f"windows by verdict, tolerance {tolerance:g}; what differs"
     columns = ("stream", "steps", "identical", "within", "diverged", "off by", "contacts", "pixels")
     table = _table(title, columns)
     for windows in filter(None, streams):
-        counts = [sum(window.verdict == verdict for window in windows) for verdict in _VERDICTS]
+        counts = [sum(window.verdict == verdict for window in windows) for verdict in VERDICTS]
         table.add_row(
             str(windows[0].stream), f"{sum(window.steps for window in windows):,}",
             *(f"{count:,}" for count in counts), f"{max(map(_error, windows)):.2g}",
@@ -98,15 +100,16 @@ def _by_stream(streams: Sequence[list[Window]], tolerance: float) -> Table:
     return table
 
 
-def _by_window(windows: Sequence[Window]) -> Table:
+def by_window(windows: Sequence[Window]) -> Table:
+    """A row for each of the first windows, which are not identical."""
     title = f"windows that are not identical ({min(len(windows), SHOWN)} of {len(windows)}), from which step on"
     columns = ("segment", "differs", "diverges", "worst", "off by", "contacts", "pixels")
     table = _table(title, columns)
     for window in windows[:SHOWN]:
-        worst = max(window.state_error, key=window.state_error.__getitem__, default="–")
+        furthest = max(window.state_error, key=window.state_error.__getitem__, default="–")
         table.add_row(
             f"{window.stream}/{window.segment}", f"{window.first_different:,}",
-            "–" if window.first_diverged is None else f"{window.first_diverged:,}", markup(worst),
+            "–" if window.first_diverged is None else f"{window.first_diverged:,}", markup(furthest),
             f"{_error(window):.2g}",
             f"{window.contact_steps:,}", f"{window.pixels:,}",
         )  # fmt: skip
