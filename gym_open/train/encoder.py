@@ -21,6 +21,7 @@ from gym_open.formats.checkpoints import (
 )
 from gym_open.formats.models import save_encoder
 from gym_open.formats.releases import Release, open_release
+from gym_open.formats.windows import Pictures
 from gym_open.train.config import EncoderTrainConfig
 from gym_open.train.curve import Row, clean, save_curve
 
@@ -31,8 +32,6 @@ COLUMNS = ("update", "loss", "accuracy", "held_out_loss", "held_out_accuracy")
 HELD_OUT_BATCHES = 4
 MEAN_IMAGES = 10_000
 """At most so many frames make the mean picture."""
-MEMORY_BYTES = 2 << 30
-"""Releases whose pictures fit into this are decoded once, larger ones batch by batch; the result is the same."""
 
 
 def train_encoder(config: EncoderTrainConfig, release: Path, out: Path) -> artefacts.Outcome:
@@ -64,29 +63,6 @@ def train_encoder(config: EncoderTrainConfig, release: Path, out: Path) -> artef
     return artefacts.build(out, kind="encoder", config=config, parents=[release], work=work)
 
 
-class _Pictures:
-    """Pictures of a release by frame number: (n, 84, 84, 3) uint8."""
-
-    def __init__(self, release: Release) -> None:
-        self._release = release
-        self._all = self._decode() if len(release) * 84 * 84 * 3 <= MEMORY_BYTES else None
-
-    def _decode(self) -> torch.Tensor:
-        n, chunk = len(self._release), 2048
-        pictures = torch.empty((n, 84, 84, 3), dtype=torch.uint8)
-        with progress.bar("decode pictures", n) as bar:
-            for start in range(0, n, chunk):
-                stop = min(start + chunk, n)
-                pictures[start:stop] = torch.from_numpy(self._release.images(np.arange(start, stop)))
-                bar.advance(stop - start)
-        return pictures
-
-    def __getitem__(self, frames: np.ndarray) -> torch.Tensor:
-        if self._all is None:
-            return torch.from_numpy(self._release.images(frames))
-        return self._all[torch.from_numpy(frames)]
-
-
 class _Trainer:
     """The state of one run: everything that a checkpoint holds."""
 
@@ -99,11 +75,11 @@ class _Trainer:
                 f"{release.root}: split 'train' has {len(self.train_frames)} frames, expected at least batch_size = "
                 f"{config.batch_size}; collect more steps or make batch_size smaller"
             )
-        self.pictures = _Pictures(release)
+        self._decoded = Pictures(release, cache=checkpoint.parent)  # a resumed run finds it there
         init = torch.Generator().manual_seed(seeding.integer(config.seed, "encoder", "init"))
         encoder = Encoder(config.encoder, init)
         spread = np.linspace(0, len(self.train_frames) - 1, min(len(self.train_frames), MEAN_IMAGES)).astype(np.int64)
-        encoder.set_mean_image(self.pictures[self.train_frames[spread]])
+        encoder.set_mean_image(self.pictures(self.train_frames[spread]))
         self.curl = Curl(encoder, config.curl, init)
         parameters = [parameter for parameter in self.curl.parameters() if parameter.requires_grad]
         self.optimizer = torch.optim.Adam(parameters, lr=config.learning_rate)
@@ -128,11 +104,15 @@ class _Trainer:
                 self.save()
                 bar.advance(0, note=f"loss {loss:.3f} accuracy {accuracy:.3f}")
 
+    def pictures(self, frames: np.ndarray) -> torch.Tensor:
+        """Pictures of the release by frame number: (n, 84, 84, 3) uint8."""
+        return torch.from_numpy(self._decoded.take(frames))
+
     def step(self) -> tuple[float, float]:
         """One gradient step; its loss and contrastive accuracy."""
         frames = self.batches.choice(self.train_frames, size=self.config.batch_size, replace=False)
         with autocast(self.config.precision):
-            logits = self.curl.logits(self.pictures[frames], self.shifts)
+            logits = self.curl.logits(self.pictures(frames), self.shifts)
         loss = info_nce(logits)
         self.optimizer.zero_grad()
         loss.backward()
@@ -153,7 +133,7 @@ class _Trainer:
         for _ in range(HELD_OUT_BATCHES):
             frames = rng.choice(self.held_out_frames, size=size, replace=False)
             with autocast(self.config.precision):
-                logits = self.curl.logits(self.pictures[frames], shifts)
+                logits = self.curl.logits(self.pictures(frames), shifts)
             found.append((info_nce(logits).item(), contrastive_accuracy(logits).item()))
         loss, accuracy = np.mean(found, axis=0).tolist()
         return loss, accuracy

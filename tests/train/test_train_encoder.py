@@ -1,5 +1,6 @@
 """CURL from a release: repeatable, resumable, and plain about what it cannot do."""
 
+import functools
 import json
 import shutil
 from collections.abc import Callable
@@ -15,6 +16,7 @@ from gym_open.agents.config import CurlConfig, EncoderConfig
 from gym_open.errors import ArtefactError
 from gym_open.formats.models import load_encoder
 from gym_open.formats.releases import open_release
+from gym_open.formats.windows import Pictures
 from gym_open.train.config import EncoderTrainConfig
 from gym_open.train.encoder import COLUMNS, train_encoder
 
@@ -64,7 +66,7 @@ def test_large_releases_give_the_same_without_decoding_all(
     release: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first = train_encoder(TINY, release, tmp_path / "a")
-    monkeypatch.setattr("gym_open.train.encoder.MEMORY_BYTES", 0)
+    monkeypatch.setattr("gym_open.train.encoder.Pictures", functools.partial(Pictures, limit_bytes=0))
     second = train_encoder(TINY, release, tmp_path / "b")
     assert artefacts.digest(first.path) == artefacts.digest(second.path)
 
