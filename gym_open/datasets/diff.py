@@ -1,0 +1,199 @@
+"""What changed between two releases, by file and by meaning, and the version bump that it implies.
+
+Everything is read from the content digests that the releases carry (`meta/content`, `meta/digests.json`): no frame is
+decoded. They are taken at their word here; `gym-open dataset verify` computes them anew.
+"""
+
+from collections.abc import Iterator
+from typing import Any, Literal
+
+import msgspec
+from rich.table import Table as Shown
+
+from gym_open.datasets import payload
+from gym_open.datasets.episode_diff import episode_meanings
+from gym_open.datasets.semver import RANK, Bump, Meaning, implied
+from gym_open.errors import ArtefactError
+from gym_open.formats.releases import Release
+from gym_open.formats.releases.layout import (
+    BOOKKEEPING,
+    CHANGELOG,
+    CROISSANT,
+    STATS_PATH,
+    TABLES,
+    TASKS_PATH,
+)  # fmt: skip
+from gym_open.terminal import markup
+
+How = Literal["added", "removed", "changed", "serialisation"]
+_DERIVED = (CHANGELOG, CROISSANT, "rebuild/")
+"""Papers that follow from the rest, and from the version."""
+_NAMING = {"name", "version", "published", "license", "batches"}
+"""Keys of our part of `meta/info.json` in which any two versions may differ, or that are told apart."""
+_COUNTS = {"features", "splits", "total_episodes", "total_frames"}
+"""Keys of LeRobot's part that follow from features and episodes."""
+
+
+class FileChange(msgspec.Struct, frozen=True):
+    """A file that is not the same in both releases."""
+
+    path: str
+    how: How
+    """`serialisation`: other bytes of the same content."""
+
+
+class Diff(msgspec.Struct, frozen=True):
+    """What changed from one release to another."""
+
+    old: str
+    """Name and version."""
+    new: str
+    bump: Bump
+    next_version: str
+    """What the new one must be called if it is to follow the old one."""
+    files: list[FileChange]
+    meanings: list[Meaning]
+    """The weightiest first. The sentences come from files: not for a terminal as they are."""
+
+
+def diff_releases(a: Release, b: Release) -> Diff:
+    """What changed from `a` to `b`, which may still be without its manifest.
+
+    Raises:
+        ArtefactError: if one of them is not readable as a release (naming the file).
+    """
+    files = list(_file_changes(a, b))
+    common = sorted(name for name, form in _forms(a).items() if _forms(b).get(name) == form)
+    data = [*_feature_meanings(a, b), *episode_meanings(a, b, common), *_table_meanings(a, b)]
+    if not data and payload.digests(a.root).release != payload.digests(b.root).release:
+        data = [Meaning("major", "the content digest is another, and no feature, episode or table says why")]
+    rest = [*_setting_meanings(a, b, files), *_file_meanings(a, b, files, alone=not data)]
+    meanings = sorted([*data, *rest], key=lambda item: -RANK[item.bump])
+    bump = meanings[0].bump if meanings else "none"
+    if a.name != b.name:
+        meanings.append(Meaning("none", f"name: {a.name} → {b.name}"))
+    return Diff(f"{a.name} {a.version}", f"{b.name} {b.version}", bump, implied(a.version, bump), files, meanings)
+
+
+def _file_changes(a: Release, b: Release) -> Iterator[FileChange]:
+    old, new = payload.entries(a.root), payload.entries(b.root)
+    old_content, new_content = payload.digests(a.root).files, payload.digests(b.root).files
+    for path in sorted(old.keys() | new.keys()):
+        if path not in old:
+            yield FileChange(path, "added")
+        elif path not in new:
+            yield FileChange(path, "removed")
+        elif old[path] != new[path]:
+            same = path in old_content and old_content[path] == new_content.get(path)
+            yield FileChange(path, "serialisation" if same else "changed")
+
+
+def _forms(release: Release) -> dict[str, Any]:
+    """What must be the same of a feature for its numbers to mean the same."""
+    return {
+        name: (item.get("dtype"), item.get("shape"), item.get("names"))
+        for name, item in release.info["features"].items()
+        if name not in BOOKKEEPING
+    }
+
+
+def _feature_meanings(a: Release, b: Release) -> Iterator[Meaning]:
+    old, new = _forms(a), _forms(b)
+    for bump, what, names in (
+        ("major", "removed", sorted(old.keys() - new.keys())),
+        ("major", "retyped", sorted(name for name in old.keys() & new.keys() if old[name] != new[name])),
+        ("minor", "added", sorted(new.keys() - old.keys())),
+    ):
+        if names:
+            yield Meaning(bump, f"feature{'s' * (len(names) > 1)} {what}: {', '.join(names)}")
+
+
+def _table_meanings(a: Release, b: Release) -> Iterator[Meaning]:
+    """Of our own tables: rows added after the old ones, or anything else."""
+    for name in TABLES:
+        if name == "content" or _table_digests(a, name) == _table_digests(b, name):
+            continue  # the episodes' content is told feature by feature
+        old, new = a.table(name), b.table(name)
+        if sorted(old.columns) == sorted(new.columns) and old.equals(new[list(old.columns)].iloc[: len(old)]):
+            if len(new) > len(old):
+                yield Meaning("minor", f"table {name}: {len(new) - len(old):,} rows added after the old ones")
+        else:
+            yield Meaning("major", f"table {name}: its content changed")
+
+
+def _table_digests(release: Release, name: str) -> list[str]:
+    found = payload.digests(release.root).files
+    return [found[path] for path in sorted(found) if path.startswith(f"meta/{name}/")]
+
+
+def _setting_meanings(a: Release, b: Release, files: list[FileChange]) -> Iterator[Meaning]:
+    """Of what `meta/` says about the release as a whole."""
+    old, new = dict(a.info), dict(b.info)
+    ours_old, ours_new = old.pop("gym_open"), new.pop("gym_open")
+    if ours_old.get("license") != ours_new.get("license"):
+        yield Meaning("patch", f"licence: {ours_old.get('license')} → {ours_new.get('license')}")
+    settings = [*_differing(ours_old, ours_new, _NAMING), *_differing(old, new, _COUNTS)]
+    changed = {item.path for item in files}
+    settings += ["tasks"] * (TASKS_PATH in changed)
+    if settings:
+        yield Meaning("patch", f"settings: {', '.join(settings)}")
+    if STATS_PATH in changed:
+        yield Meaning("patch", "statistics")
+
+
+def _differing(old: dict[str, Any], new: dict[str, Any], ignored: set[str]) -> list[str]:
+    return sorted(key for key in (old.keys() | new.keys()) - ignored if old.get(key) != new.get(key))
+
+
+def _file_meanings(a: Release, b: Release, files: list[FileChange], *, alone: bool) -> Iterator[Meaning]:
+    """Of the files; where data changed (not `alone`), that they are cut otherwise says nothing."""
+    rewritten = [item.path for item in files if item.how == "serialisation"]
+    if rewritten:
+        yield Meaning("patch", f"serialisation only: {len(rewritten):,} file(s) with the same content in other bytes")
+    cut = [item for item in files if item.how != "serialisation" and item.path.startswith(("data/", "videos/"))]
+    if alone and cut:
+        yield Meaning(
+            "patch", f"serialisation only: the same episodes are cut into files otherwise ({len(cut):,} files)"
+        )
+    papers = [item.path for item in files if _is_paper(item.path) and not _same_but_for_version(a, b, item)]
+    if papers:
+        yield Meaning("patch", f"card: {', '.join(papers)}")
+
+
+def _is_paper(path: str) -> bool:
+    return not path.startswith(("data/", "videos/", "meta/")) and not path.startswith(_DERIVED)
+
+
+def _same_but_for_version(a: Release, b: Release, item: FileChange) -> bool:
+    if item.how != "changed":
+        return False
+    return _without_version(a, item.path) == _without_version(b, item.path)
+
+
+def _without_version(release: Release, path: str) -> bytes:
+    """A paper with its own version and date blanked: any two versions differ there."""
+    try:
+        text = (release.root / path).read_bytes()
+    except OSError as error:
+        raise ArtefactError(f"{release.root / path}: not readable: {error}; build the release again") from None
+    for said in (release.version, release.info["gym_open"].get("published")):
+        if said:
+            text = text.replace(str(said).encode(), b"")
+    return text
+
+
+def diff_tables(diff: Diff) -> list[Shown]:
+    """For a person: what it means, and which files differ."""
+    verdict = "nothing but version and date" if diff.bump == "none" else f"{diff.bump}, so {diff.next_version} follows"
+    meanings = Shown(title=markup(f"{diff.old} → {diff.new}: {verdict}"), title_justify="left")
+    meanings.add_column("asks for")
+    meanings.add_column("what changed", overflow="fold")
+    for item in diff.meanings:
+        meanings.add_row(item.bump, markup(item.text))
+    files = Shown(title=f"{len(diff.files):,} files differ", title_justify="left")
+    files.add_column("file", overflow="fold")
+    files.add_column("how", no_wrap=True)
+    for change in diff.files:
+        how = "same content, other bytes" if change.how == "serialisation" else change.how
+        files.add_row(markup(change.path), how)
+    return [table for table in (meanings, files) if table.row_count]

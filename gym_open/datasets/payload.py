@@ -1,0 +1,71 @@
+"""The files of a release by their bytes and by their content, sealed or just before it is."""
+
+import functools
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import msgspec
+
+from gym_open import artefacts
+from gym_open.artefacts import Entry
+from gym_open.errors import ArtefactError
+from gym_open.formats.releases.layout import DIGESTS_PATH, RECORDS, SIGNATURE
+
+
+class Digests(msgspec.Struct, frozen=True):
+    """`meta/digests.json`: digests of decoded content."""
+
+    release: str
+    files: dict[str, str]
+    """Of every parquet file and video, by path."""
+
+
+def digests(root: Path) -> Digests:
+    """Content digests that the release at `root` carries.
+
+    Raises:
+        ArtefactError: if they are missing or not readable.
+    """
+    path = root / DIGESTS_PATH
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=Digests)
+    except (OSError, msgspec.DecodeError, RecursionError) as error:
+        raise ArtefactError(f"{path}: not readable: {error}; build the release again") from None
+
+
+def entries(root: Path) -> dict[str, Entry]:
+    """SHA-256 and size of every payload file, from the manifest, or of one that has none yet, from the files.
+
+    Raises:
+        ArtefactError: if the manifest is not readable as one.
+    """
+    manifest = root / artefacts.MANIFEST
+    if not manifest.exists():
+        return {path: _entry(root / path) for path in sorted(_payload_paths(root))}
+    try:
+        found = msgspec.json.decode(manifest.read_bytes(), type=dict[str, Entry])
+    except (OSError, msgspec.DecodeError, RecursionError) as error:
+        raise ArtefactError(f"{manifest}: not readable: {error}; build the release again") from None
+    return {path: entry for path, entry in sorted(found.items()) if path not in RECORDS}
+
+
+def total_bytes(found: Mapping[str, Entry]) -> int:
+    """Bytes of all files."""
+    return sum(entry.bytes for entry in found.values())
+
+
+def _payload_paths(root: Path) -> Iterable[str]:
+    for item in root.rglob("*"):
+        path = item.relative_to(root).as_posix()
+        if item.is_file() and path not in (*RECORDS, SIGNATURE) and not path.startswith(f"{artefacts.SCRATCH}/"):
+            yield path
+
+
+def _entry(path: Path) -> Entry:
+    status = path.stat()
+    return _hashed(path, status.st_size, status.st_mtime_ns)
+
+
+@functools.lru_cache(maxsize=100_000)
+def _hashed(path: Path, size: int, mtime_ns: int) -> Entry:  # noqa: ARG001 (a changed file is another one)
+    return Entry(sha256=artefacts.sha256_file(path), bytes=size)

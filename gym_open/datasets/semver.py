@@ -1,0 +1,51 @@
+"""Numbers of versions: MAJOR.MINOR.PATCH, as TensorFlow Datasets has it.
+
+MAJOR: existing data changed. MINOR: data were added. PATCH: the same data, written otherwise.
+"""
+
+import re
+from typing import Literal
+
+import msgspec
+
+from gym_open.errors import ArtefactError
+
+Bump = Literal["none", "patch", "minor", "major"]
+RANK: dict[Bump, int] = {"none": 0, "patch": 1, "minor": 2, "major": 3}
+
+
+class Meaning(msgspec.Struct, frozen=True):
+    """One thing that changed, and the bump that it asks for."""
+
+    bump: Bump
+    text: str
+
+
+_VERSION = re.compile(r"(0|[1-9][0-9]{0,8})\.(0|[1-9][0-9]{0,8})\.(0|[1-9][0-9]{0,8})")
+
+
+def parse(version: str) -> tuple[int, int, int] | None:
+    """The three numbers of a version; None if it is none."""
+    match = _VERSION.fullmatch(version)
+    return (int(match[1]), int(match[2]), int(match[3])) if match else None
+
+
+def implied(previous: str, bump: Bump) -> str:
+    """The version that follows `previous` after a change of this kind; `previous` itself if nothing changed.
+
+    Raises:
+        ArtefactError: if `previous` is not a version.
+    """
+    numbers = parse(previous)
+    if numbers is None:
+        raise ArtefactError(f"version must be three numbers, as 1.0.0, got {previous!r}; build that release again")
+    major, minor, patch = numbers
+    match bump:
+        case "major":
+            return f"{major + 1}.0.0"
+        case "minor":
+            return f"{major}.{minor + 1}.0"
+        case "patch":
+            return f"{major}.{minor}.{patch + 1}"
+        case "none":
+            return previous
