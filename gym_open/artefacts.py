@@ -134,10 +134,10 @@ def digest(path: Path) -> str:
     Raises:
         ArtefactError: if there is no artefact.
     """
-    manifest = path / MANIFEST
-    if manifest.is_symlink() or not manifest.is_file():
+    record = path / MANIFEST
+    if record.is_symlink() or not record.is_file():
         raise ArtefactError(f"{path}: not an artefact of gym-open ({MANIFEST} is missing); build it first")
-    return sha256_file(manifest)
+    return sha256_file(record)
 
 
 def lineage(path: Path) -> Lineage:
@@ -154,7 +154,12 @@ def config_of(path: Path) -> dict[str, Any]:
     return _read(path / CONFIG, dict[str, Any])
 
 
-def _manifest(path: Path) -> dict[str, Entry]:
+def manifest(path: Path) -> dict[str, Entry]:
+    """SHA-256 and size of every file of the artefact at `path` but the manifest itself, by name.
+
+    Raises:
+        ArtefactError: if it is missing or not readable as a manifest.
+    """
     return _read(path / MANIFEST, dict[str, Entry])
 
 
@@ -196,22 +201,22 @@ def problems(path: Path, *, hashed: Callable[[str], bool] = lambda _: True) -> I
         ArtefactError: if there is no manifest, or it cannot be read.
     """
     digest(path)  # raises if there is none
-    manifest = _manifest(path)
-    if (path / MANIFEST).read_bytes() != canonical_json(manifest):
+    listed = manifest(path)
+    if (path / MANIFEST).read_bytes() != canonical_json(listed):
         yield Problem(MANIFEST, "not written as gym-open writes it (changed bytes); restore it or build again")
-    for name in sorted({CONFIG, LINEAGE} - manifest.keys()):
+    for name in sorted({CONFIG, LINEAGE} - listed.keys()):
         yield Problem(name, f"not listed in {MANIFEST}; build again")
-    for name in sorted(manifest):
+    for name in sorted(listed):
         if not all(_PART.fullmatch(part) for part in name.split("/")) or name == MANIFEST:
             yield Problem(name, f"a name that {MANIFEST} may not list: it leaves the folder, or has odd characters")
     present, folders, strange = _walk(path)
     yield from (Problem(name, _STRANGE) for name in strange)
     with suppress(ArtefactError):  # a lineage that cannot be read is none of a release
-        if SIGNATURE not in manifest and lineage(path).kind == "release":
+        if SIGNATURE not in listed and lineage(path).kind == "release":
             present.pop(SIGNATURE, None)
     present.pop(MANIFEST, None)
-    for name in sorted((manifest.keys() | present.keys()) - set(strange)):
-        if what := _wrong(path / name, present.get(name), manifest.get(name), hashed(name)):
+    for name in sorted((listed.keys() | present.keys()) - set(strange)):
+        if what := _wrong(path / name, present.get(name), listed.get(name), hashed(name)):
             yield Problem(name, what)
     for name in sorted(folders - {parent.as_posix() for file in present for parent in Path(file).parents}):
         yield Problem(name, "a folder without a file in it; remove it")
@@ -293,7 +298,7 @@ def build(
         UsageError: if another process is writing `out` now.
     """
     out = out.absolute()
-    inputs = [Parent(digest=verify(parent), manifest=_manifest(parent), lineage=lineage(parent)) for parent in parents]
+    inputs = [Parent(digest=verify(parent), manifest=manifest(parent), lineage=lineage(parent)) for parent in parents]
     key = _key(kind, config, inputs)
     if out.exists():
         if not (out / LINEAGE).is_file():

@@ -48,11 +48,11 @@ def metadata(path: Path) -> "pq.FileMetaData":
 def read(
     path: Path, schema: "pa.Schema", columns: Sequence[str] | None = None, groups: Sequence[int] | None = None
 ) -> "pa.Table":
-    """Columns and row groups (all, if not given) of the file at `path`.
+    """Columns and row groups (all, if not given) of the file at `path`, in the order of the schema.
 
     Args:
         path: of the file.
-        schema: what the file must have, apart from metadata.
+        schema: the columns that the file must have, in whatever order.
         columns: names; a part of a struct as `name.part`.
         groups: numbers of row groups.
 
@@ -62,8 +62,8 @@ def read(
     import pyarrow as pa
 
     with _opened(path) as file:
-        if not file.schema_arrow.equals(schema):
-            raise ParquetError(f"{path}: {_difference(file.schema_arrow, schema)}; {_REMEDY}")
+        if wrong := _difference(file.schema_arrow, schema):
+            raise ParquetError(f"{path}: {wrong}; {_REMEDY}")
         chosen = range(file.metadata.num_row_groups) if groups is None else groups
         check_pages(path, file.metadata, columns, chosen)
         try:
@@ -73,7 +73,7 @@ def read(
             raise ParquetError(f"{path}: cannot be unpacked: {error}; {_REMEDY}") from None
     if len(table) != sum(file.metadata.row_group(group).num_rows for group in chosen):
         raise ParquetError(f"{path}: {len(table)} rows where its footer tells of others; {_REMEDY}")
-    return table
+    return table.select([name for name in schema.names if name in table.column_names])
 
 
 def _opened(path: Path) -> "pq.ParquetFile":
@@ -248,9 +248,12 @@ class _Compact:
         return (value >> 1) ^ -(value & 1)
 
 
-def _difference(found: "pa.Schema", expected: "pa.Schema") -> str:
-    if found.names != expected.names:
-        odd = sorted(set(found.names) ^ set(expected.names)) or ["their order"]
-        return f"its columns are not those of this release: {', '.join(map(repr, odd[:5]))}"
-    name = next(name for name in expected.names if not found.field(name).equals(expected.field(name)))
-    return f"column {name!r} should be {expected.field(name).type}, got {str(found.field(name).type)[:200]}"
+def _difference(found: "pa.Schema", expected: "pa.Schema") -> str | None:
+    """What is wrong with the columns of a file, if anything."""
+    if odd := sorted(set(found.names) ^ set(expected.names)) or len(found.names) > len(expected.names):
+        named = ", ".join(repr(name[:100]) for name in odd[:5]) if isinstance(odd, list) else "one is there twice"
+        return f"its columns are not those of this release: {named}"
+    for name in expected.names:
+        if not (one := found.field(name)).type.equals(expected.field(name).type):
+            return f"column {name!r} should be {expected.field(name).type}, got {str(one.type)[:200]}"
+    return None

@@ -1,27 +1,37 @@
 """The one reader of dataset releases: LeRobot v3.0 folders written by `gym_open.datasets`.
 
-    release = open_release(Path("datasets/out"))
+    release = open_release(Path("datasets/open/explore/1.0.0"))
     release.frames                     one row a frame: every scalar feature (pandas)
     release.column("observation.state")  a feature of all frames as one array
-    release.images([0, 5, 7])          (3, 84, 84, 3) uint8, bit for bit what the log holds
+    release.images([0, 5, 7])          (3, 84, 84, 3) uint8, bit for bit what the log holds (of PNG releases)
     release.split("train")             frame numbers of a split
 
 T actions make T + 1 frames: the last frame of an episode carries only the observation (`transition.valid` is False).
+A release is anybody's until it is verified: files are read by their own names only, and held to what they may be.
 """
 
 import functools
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
-import msgspec
 import numpy as np
 
 from gym_open import artefacts
 from gym_open.errors import ArtefactError
-from gym_open.formats.pictures import decode_png, workers
-from gym_open.formats.releases.layout import CODEBASE_VERSION, EPISODES_PATH, IMAGE, INFO_PATH, Table
+from gym_open.formats.pictures import workers
+from gym_open.formats.releases import parquet, pngs, videos
+from gym_open.formats.releases.info import read_info
+from gym_open.formats.releases.layout import (
+    DATA_PATHS,
+    EPISODES_PATHS,
+    IMAGE,
+    VIDEO_PATHS,
+    Table,
+    belongs,
+)
+from gym_open.formats.releases.schemas import STATS, episodes_schema, table_schema
 
 if TYPE_CHECKING:  # heavy, and needed only when something is read
     import pandas as pd
@@ -29,10 +39,12 @@ if TYPE_CHECKING:  # heavy, and needed only when something is read
 
 _CACHED_GROUPS = 512
 """Row groups whose PNG bytes stay in memory: about 1,000 frames each, so at most about 1.5 GB at 2.7 kB a frame."""
+_BULK = ("data/", "videos/")
+"""Folders whose bytes are not read when a release is opened."""
 
 
 class Release:
-    """A verified release on disk. Nothing but `info` is read until it is asked for."""
+    """A release on disk, its names, sizes and records checked. Nothing but `info` is read until it is asked for."""
 
     def __init__(self, root: Path, digest: str, info: dict[str, Any]) -> None:
         self.root = root
@@ -40,6 +52,9 @@ class Release:
         """Digest of the artefact (SHA-256 of its manifest)."""
         self.info = info
         """`meta/info.json`: features, splits, frame rate, and under `gym_open` what is our own."""
+        self.name: str = info["gym_open"]["name"]
+        """Namespace and name."""
+        self.version: str = info["gym_open"]["version"]
         self._group = functools.lru_cache(maxsize=_CACHED_GROUPS)(self._read_group)
 
     def __len__(self) -> int:
@@ -49,58 +64,98 @@ class Release:
     @functools.cached_property
     def frames(self) -> "pd.DataFrame":
         """Every scalar feature, one row a frame; vectors are in `column`, pictures in `images`."""
-        names = [name for name, feature in self.info["features"].items() if name != IMAGE and feature["shape"] == [1]]
+        names = [name for name, feature in self._numbers.items() if feature["shape"] == [1]]
         return self._data(names).to_pandas()
 
     @functools.cached_property
     def episodes(self) -> "pd.DataFrame":
-        """One row an episode: LeRobot's columns and stream, segment, piece, world, puzzle, ended, continued, …."""
-        import pandas as pd
+        """One row an episode: LeRobot's columns and stream, segment, piece, world, puzzle, ended, continued, ….
 
-        return pd.read_parquet(self.root / EPISODES_PATH)
+        Raises:
+            ArtefactError: if a file is damaged, of another schema, or there are not as many as `info` says.
+        """
+        import pyarrow as pa
+
+        expected = episodes_schema(self.info["features"])
+        names = [name for name in expected.names if not name.startswith(STATS)]
+        files = sorted(self.root.glob(EPISODES_PATHS))
+        found = pa.concat_tables(
+            [expected.empty_table().select(names), *(parquet.read(path, expected, names) for path in files)]
+        )
+        if len(found) != self.info["total_episodes"]:
+            raise ArtefactError(
+                f"{self.root}: {len(found):,} rows in meta/episodes, meta/info.json says "
+                f"{self.info['total_episodes']:,}; get the release anew"
+            )
+        return found.to_pandas()
 
     def column(self, name: str) -> np.ndarray:
         """A feature of all frames: (n,) for a scalar, (n, d) for a vector.
 
         Raises:
             KeyError: if there is no such feature, or it is the picture.
+            ArtefactError: if a file is damaged.
         """
-        known = sorted(set(self.info["features"]) - {IMAGE})
-        if name not in known:
-            raise KeyError(f"{self.root}: no numeric feature {name!r}; it has {', '.join(known)}")
-        column = self._data([name]).column(0).combine_chunks()
-        shape = self.info["features"][name]["shape"]
-        if shape == [1]:
-            return column.to_numpy(zero_copy_only=False)
-        return column.flatten().to_numpy().reshape(-1, *shape)
+        if name not in self._numbers:
+            known = ", ".join(sorted(self._numbers))
+            raise KeyError(f"{self.root}: no numeric feature {name!r}; it has {known}")
+        return self._array(name, self._data([name]))
+
+    def numbers(self, first: int, stop: int, names: Sequence[str] | None = None) -> dict[str, np.ndarray]:
+        """Numeric features (all, if not given) of the frames from `first` to `stop` (left out), by name.
+
+        Memory is that of these frames and of the row groups that they are in.
+
+        Raises:
+            ArtefactError: if a file is damaged.
+        """
+        import pyarrow as pa
+
+        chosen = list(self._numbers) if names is None else list(names)
+        starts, places = self._groups
+        last = int(np.searchsorted(starts, stop, side="left"))
+        begin = max(int(np.searchsorted(starts, first, side="right")) - 1, 0)
+        pieces = [
+            parquet.read(path, self._schema, chosen, [group]).slice(max(first - int(start), 0), stop - int(start))
+            for start, (path, group) in zip(starts[begin:last], places[begin:last], strict=True)
+        ]
+        table = pa.concat_tables(pieces).slice(0, stop - first)
+        return {name: self._array(name, table) for name in chosen}
 
     def table(self, name: Table) -> "pd.DataFrame":
-        """One of our own tables: streams, worlds, switches or segments (with the state that a replay starts from)."""
-        import pandas as pd
+        """One of our own tables, all batches: streams, worlds, switches, segments, keyframes or content.
 
-        return pd.read_parquet(self.root / f"meta/{name}.parquet")
+        Raises:
+            ArtefactError: if a file is damaged or of another schema.
+        """
+        return self.arrow_table(name).to_pandas()
+
+    def arrow_table(self, name: Table) -> "pa.Table":
+        """As `table`, as Arrow has it."""
+        import pyarrow as pa
+
+        expected = table_schema(name, self.info["features"])
+        files = sorted(self.root.glob(f"meta/{name}/file-*.parquet"))
+        return pa.concat_tables([expected.empty_table(), *(parquet.read(path, expected) for path in files)])
 
     def split(self, name: str) -> np.ndarray:
         """Frame numbers of the split `name` (`train`, `val`), int64, ascending; empty if there is no such split."""
-        if name not in self.info["splits"]:
-            return np.empty(0, dtype=np.int64)
-        first, stop = (int(bound) for bound in self.info["splits"][name].split(":"))
-        chosen = self.episodes.iloc[first:stop]
-        if not len(chosen):
-            return np.empty(0, dtype=np.int64)
-        return np.arange(chosen["dataset_from_index"].iloc[0], chosen["dataset_to_index"].iloc[-1], dtype=np.int64)
+        chosen = self.episodes[self.episodes["split"] == name]
+        spans = zip(chosen["dataset_from_index"], chosen["dataset_to_index"], strict=True)
+        return np.concatenate(
+            [np.empty(0, np.int64), *(np.arange(first, stop, dtype=np.int64) for first, stop in spans)]
+        )
 
     def pngs(self, indices: Sequence[int] | np.ndarray) -> list[bytes]:
         """PNG files of the frames `indices`, in their order.
 
         Raises:
             IndexError: if an index is not a frame of this release.
+            ArtefactError: if the release keeps its pictures as video, or a file is damaged.
         """
-        wanted = np.asarray(indices, dtype=np.int64)
-        if wanted.size and (wanted.min() < 0 or wanted.max() >= len(self)):
-            raise IndexError(
-                f"{self.root}: frame numbers must be in [0, {len(self)}), got {wanted.min()}…{wanted.max()}"
-            )
+        if self._is_video:
+            raise ArtefactError(f"{self.root}: keeps its pictures as video, it has no PNG files; take `images`")
+        wanted = self._checked(indices)
         starts = self._groups[0]
         groups = np.searchsorted(starts, wanted, side="right") - 1
         return [self._group(int(g))[int(i - starts[g])].as_py() for g, i in zip(groups, wanted, strict=True)]
@@ -110,65 +165,128 @@ class Release:
 
         Raises:
             IndexError: if an index is not a frame of this release.
+            ArtefactError: if a file or a picture is damaged.
         """
-        files = self.pngs(indices)
-        out = np.empty((len(files), *self.info["features"][IMAGE]["shape"]), dtype=np.uint8)
+        wanted = self._checked(indices)
+        out = np.empty((len(wanted), *self.info["features"][IMAGE]["shape"]), dtype=np.uint8)
+        if self._is_video:
+            self._decode_video(wanted, out)
+            return out
+        files = self.pngs(wanted)
 
         def fill(span: range) -> None:
             for i in span:
-                out[i] = decode_png(files[i])
+                try:
+                    out[i] = pngs.decode(files[i])
+                except ValueError as error:
+                    raise ArtefactError(
+                        f"{self.root}: picture of frame {wanted[i]}: {error}; get the release anew"
+                    ) from None
 
         step = 64
         with ThreadPoolExecutor(workers()) as pool:
             list(pool.map(fill, [range(i, min(i + step, len(files))) for i in range(0, len(files), step)]))
         return out
 
+    @property
+    def _is_video(self) -> bool:
+        return self.info["features"][IMAGE]["dtype"] == "video"
+
+    @functools.cached_property
+    def _numbers(self) -> dict[str, Any]:
+        """Features that are numbers."""
+        return {name: feature for name, feature in self.info["features"].items() if name != IMAGE}
+
+    @functools.cached_property
+    def _schema(self) -> "pa.Schema":
+        from gym_open.formats.releases.features import schema
+
+        return schema(self.info["features"])
+
+    def _checked(self, indices: Sequence[int] | np.ndarray) -> np.ndarray:
+        wanted = np.asarray(indices, dtype=np.int64)
+        if wanted.size and (wanted.min() < 0 or wanted.max() >= len(self)):
+            raise IndexError(
+                f"{self.root}: frame numbers must be in [0, {len(self)}), got {wanted.min()}…{wanted.max()}"
+            )
+        return wanted
+
+    def _decode_video(self, wanted: np.ndarray, out: np.ndarray) -> None:
+        """Pictures of frames to `out`; of each run of consecutive frames the video is decoded in one go."""
+        order = np.argsort(wanted, kind="stable")
+        for path, start, stop in self._videos:
+            inside = order[np.searchsorted(wanted[order], start) : np.searchsorted(wanted[order], stop)]
+            numbers = np.unique(wanted[inside])
+            for run in np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1) if numbers.size else ():
+                pictures = videos.decode(path, int(run[0]) - start, int(run[-1]) - start + 1)
+                for number, picture in zip(run, pictures, strict=True):
+                    out[wanted == number] = picture
+
+    @functools.cached_property
+    def _videos(self) -> list[tuple[Path, int, int]]:
+        """Each video, and the first and the last frame (left out) that are in it: those of the data file beside it."""
+        paths = sorted(self.root.glob(VIDEO_PATHS))
+        sizes = [parquet.metadata(path).num_rows for path in self._files]
+        if len(paths) != len(sizes):
+            raise ArtefactError(f"{self.root}: {len(paths)} videos of {len(sizes)} data files; get the release anew")
+        ends = np.cumsum(sizes).tolist()
+        return [(path, end - size, end) for path, size, end in zip(paths, sizes, ends, strict=True)]
+
     @functools.cached_property
     def _files(self) -> list[Path]:
-        return sorted(self.root.glob("data/chunk-*/file-*.parquet"))
+        return sorted(self.root.glob(DATA_PATHS))
 
     @functools.cached_property
     def _groups(self) -> tuple[np.ndarray, list[tuple[Path, int]]]:
         """First frame of every row group, and where the group is."""
-        import pyarrow.parquet as pq
-
         starts, places, total = [], [], 0
         for path in self._files:
-            metadata = pq.read_metadata(path)
+            metadata = parquet.metadata(path)
             for group in range(metadata.num_row_groups):
                 starts.append(total)
                 places.append((path, group))
                 total += metadata.row_group(group).num_rows
+        if total != len(self):
+            raise ArtefactError(
+                f"{self.root}: {total:,} frames in data, meta/info.json says {len(self):,}; get the release anew"
+            )
         return np.asarray(starts, dtype=np.int64), places
 
     def _read_group(self, number: int) -> "pa.Array":
-        import pyarrow.parquet as pq
-
         path, group = self._groups[1][number]
-        with pq.ParquetFile(path) as file:
-            table = file.read_row_group(group, columns=[f"{IMAGE}.bytes"])
+        table = parquet.read(path, self._schema, [f"{IMAGE}.bytes"], [group])
         return table.column(0).combine_chunks().field("bytes")
 
     def _data(self, names: list[str]) -> "pa.Table":
         import pyarrow as pa
-        import pyarrow.parquet as pq
 
-        return pa.concat_tables(pq.ParquetFile(path).read(columns=names) for path in self._files)
+        return pa.concat_tables(parquet.read(path, self._schema, names) for path in self._files)
+
+    def _array(self, name: str, table: "pa.Table") -> np.ndarray:
+        """A column as an array; `ArtefactError` if a value is missing."""
+        column = table.column(name).combine_chunks()
+        shape = self._numbers[name]["shape"]
+        values = column if shape == [1] else column.flatten()
+        if column.null_count or values.null_count or len(values) != len(column) * shape[0]:
+            raise ArtefactError(f"{self.root}: values of feature {name!r} are missing; get the release anew")
+        array = values.to_numpy(zero_copy_only=False)
+        return array if shape == [1] else array.reshape(-1, *shape)
 
 
-def open_release(root: Path) -> Release:
-    """Open the release at `root` after checking every byte of it.
+def open_release(root: Path, *, check: Literal["records", "bytes"] = "records") -> Release:
+    """Open the release at `root`.
+
+    Args:
+        root: folder of the release.
+        check: `records` looks at the names and sizes of all files and at the bytes of all but data and videos, which
+            takes well under a second; `bytes` looks at all bytes. Neither looks at what they mean: `gym-open dataset
+            verify` does.
 
     Raises:
         ArtefactError: if it is missing, damaged (naming the file), not a release, or of another format version.
     """
-    digest = artefacts.verify(root, "release")
-    path = root / INFO_PATH
-    try:
-        info = msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
-    except (OSError, msgspec.DecodeError) as error:
-        raise ArtefactError(f"{path}: not readable: {error}; build the release again") from None
-    if info.get("codebase_version") != CODEBASE_VERSION:
-        found = info.get("codebase_version")
-        raise ArtefactError(f"{path}: codebase_version must be {CODEBASE_VERSION!r}, got {found!r}; build it again")
-    return Release(root, digest, info)
+    digest = artefacts.verify(root, "release", hashed=lambda name: check == "bytes" or not name.startswith(_BULK))
+    for name in artefacts.manifest(root):
+        if not belongs(name):
+            raise ArtefactError(f"{root / name}: no release of this format has such a file; do not use this one")
+    return Release(root, digest, read_info(root))
