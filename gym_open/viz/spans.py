@@ -10,8 +10,8 @@ import numpy as np
 from gym_open.envs.puzzles import Puzzle
 from gym_open.formats.logs.reader import Log, open_log, open_logs
 from gym_open.formats.logs.schemas import Segment, Switch
-from gym_open.formats.pictures import encode_png
-from gym_open.formats.releases import Release, open_release
+from gym_open.formats.pictures import encode_pngs
+from gym_open.formats.releases import IMAGE, Release, open_release
 
 SERIES: tuple[str, ...] = ("intrinsic_reward", "world_model_loss", "entropy", "value", "contacts", "action")
 """Numbers a step, by the names they have in a recording."""
@@ -87,7 +87,7 @@ def _spans_of_log(log: Log) -> Iterator[Span]:
 
 
 def _encoder(segment: Segment) -> Callable[[np.ndarray], list[bytes]]:
-    return lambda numbers: [encode_png(segment.images[i]) for i in numbers]
+    return lambda numbers: encode_pngs(segment.images[numbers])
 
 
 def streams_of_release(source: Path) -> list[Stream]:
@@ -97,9 +97,9 @@ def streams_of_release(source: Path) -> list[Stream]:
         ArtefactError: if it is missing, damaged or no release.
     """
     release = open_release(source)
-    switches = release.table("switches").to_dict("records")
+    switches = release.arrow_table("switches").to_pylist()
     found = []
-    for row in release.table("streams").to_dict("records"):
+    for row in release.arrow_table("streams").to_pylist():
         number = row["stream"]
         own = [_switch(item) for item in switches if item["stream"] == number]
         threshold = _threshold(msgspec.json.decode(row["config"]))
@@ -115,21 +115,27 @@ def _switch(row: dict[str, Any]) -> Switch:
 
 def _release_spans(release: Release, number: int) -> Callable[[], Iterator[Span]]:
     names = tuple(release.info["gym_open"]["objects"])
-    puzzles = {row["puzzle"]: Puzzle.from_json(row["json"]) for row in release.table("worlds").to_dict("records")}
+    puzzles = {row["puzzle"]: Puzzle.from_json(row["json"]) for row in release.arrow_table("worlds").to_pylist()}
 
     def spans() -> Iterator[Span]:
-        state, columns = release.column("observation.environment_state"), [release.column(name) for name in _COLUMNS]
         rows = [row for row in release.episodes.to_dict("records") if row["stream"] == number]
         for row in sorted(rows, key=lambda row: row["first_step"]):
             first, stop = row["dataset_from_index"], row["dataset_to_index"]
-            series = {name: column[first : stop - 1] for name, column in zip(SERIES, columns, strict=True)}
-            states = state[first:stop].reshape(stop - first, len(names), -1)
+            values = release.numbers(first, stop)
+            series = {name: values[column][:-1] for name, column in zip(SERIES, _COLUMNS, strict=True)}
+            states = values["observation.environment_state"].reshape(stop - first, len(names), -1)
             yield Span(
                 row["world"], puzzles[row["puzzle"]], row["first_step"], names, states, series,
-                lambda numbers, first=first: release.pngs(first + numbers),
+                lambda numbers, first=first: _pngs(release, first + numbers),
             )  # fmt: skip
 
     return spans
+
+
+def _pngs(release: Release, frames: np.ndarray) -> list[bytes]:
+    if release.info["features"][IMAGE]["dtype"] == "image":
+        return release.pngs(frames)
+    return encode_pngs(release.images(frames))
 
 
 def _threshold(config: dict[str, Any]) -> float | None:

@@ -207,11 +207,12 @@ def _write(release: Release, sink: BinaryIO, limit_bytes: int) -> None:
     """Write a cache of the frames that fit `limit_bytes`. The release decodes with all processors."""
     if artefacts.verify(release.root, "release") != release.digest:
         raise ArtefactError(f"{release.root}: is another release since it was opened; open it again")
+    once = Release(release.root, release.digest, release.info, cached_groups=2)  # each is read once, in order
     offsets, frames = array("q", [0]), 0
     compressor = zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True)
     with progress.bar("decode pictures", len(release)) as bar:
         for start in range(0, len(release), _PIECE):
-            images = release.images(np.arange(start, min(start + _PIECE, len(release))))
+            images = once.images(np.arange(start, min(start + _PIECE, len(release))))
             blocks = [compressor.compress(images[i : i + _BLOCK].data) for i in range(0, len(images), _BLOCK)]
             ends = np.cumsum([len(block) for block in blocks]) + offsets[-1]
             sizes = ends + 8 * (len(offsets) + 1 + np.arange(len(blocks))) + _TAIL.size
