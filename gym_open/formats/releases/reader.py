@@ -31,14 +31,16 @@ from gym_open.formats.releases.layout import (
     Table,
     belongs,
 )
-from gym_open.formats.releases.schemas import STATS, episodes_schema, table_schema
+from gym_open.formats.releases.schemas import NULLABLE, STATS, episodes_schema, table_schema
 
 if TYPE_CHECKING:  # heavy, and needed only when something is read
     import pandas as pd
     import pyarrow as pa
 
 _CACHED_GROUPS = 512
-"""Row groups whose PNG bytes stay in memory: about 1,000 frames each, so at most about 1.5 GB at 2.7 kB a frame."""
+"""Row groups whose PNG bytes stay in memory: about 1,000 frames each, so some 450 MB at 860 bytes a frame."""
+_CACHED_TABLES = 4
+"""Row groups whose numbers stay in memory: some 1.5 MB each."""
 _BULK = ("data/", "videos/")
 """Folders whose bytes are not read when a release is opened."""
 
@@ -46,7 +48,7 @@ _BULK = ("data/", "videos/")
 class Release:
     """A release on disk, its names, sizes and records checked. Nothing but `info` is read until it is asked for."""
 
-    def __init__(self, root: Path, digest: str, info: dict[str, Any]) -> None:
+    def __init__(self, root: Path, digest: str, info: dict[str, Any], *, cached_groups: int = _CACHED_GROUPS) -> None:
         self.root = root
         self.digest = digest
         """Digest of the artefact (SHA-256 of its manifest)."""
@@ -55,7 +57,8 @@ class Release:
         self.name: str = info["gym_open"]["name"]
         """Namespace and name."""
         self.version: str = info["gym_open"]["version"]
-        self._group = functools.lru_cache(maxsize=_CACHED_GROUPS)(self._read_group)
+        self._group = functools.lru_cache(maxsize=cached_groups)(self._read_group)
+        self._group_numbers = functools.lru_cache(maxsize=_CACHED_TABLES)(self._read_numbers)
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -76,18 +79,16 @@ class Release:
         """
         import pyarrow as pa
 
-        expected = episodes_schema(self.info["features"])
-        names = [name for name in expected.names if not name.startswith(STATS)]
-        files = sorted(self.root.glob(EPISODES_PATHS))
-        found = pa.concat_tables(
-            [expected.empty_table().select(names), *(parquet.read(path, expected, names) for path in files)]
-        )
-        if len(found) != self.info["total_episodes"]:
+        columns = episodes_schema(self.info["features"])
+        names = [name for name in columns.names if not name.startswith(STATS)]
+        found = [parquet.read(path, columns, names) for path in sorted(self.root.glob(EPISODES_PATHS))]
+        table = self._whole("meta/episodes", pa.concat_tables([columns.empty_table().select(names), *found]))
+        if len(table) != self.info["total_episodes"]:
             raise ArtefactError(
-                f"{self.root}: {len(found):,} rows in meta/episodes, meta/info.json says "
+                f"{self.root}: {len(table):,} rows in meta/episodes, meta/info.json says "
                 f"{self.info['total_episodes']:,}; get the release anew"
             )
-        return found.to_pandas()
+        return table.to_pandas()
 
     def column(self, name: str) -> np.ndarray:
         """A feature of all frames: (n,) for a scalar, (n, d) for a vector.
@@ -101,26 +102,24 @@ class Release:
             raise KeyError(f"{self.root}: no numeric feature {name!r}; it has {known}")
         return self._array(name, self._data([name]))
 
-    def numbers(self, first: int, stop: int, names: Sequence[str] | None = None) -> dict[str, np.ndarray]:
-        """Numeric features (all, if not given) of the frames from `first` to `stop` (left out), by name.
+    def numbers(self, first: int, stop: int) -> dict[str, np.ndarray]:
+        """All numeric features of the frames from `first` to `stop` (left out), by name.
 
         Memory is that of these frames and of the row groups that they are in.
 
         Raises:
+            IndexError: if there are no such frames.
             ArtefactError: if a file is damaged.
         """
         import pyarrow as pa
 
-        chosen = list(self._numbers) if names is None else list(names)
-        starts, places = self._groups
-        last = int(np.searchsorted(starts, stop, side="left"))
-        begin = max(int(np.searchsorted(starts, first, side="right")) - 1, 0)
-        pieces = [
-            parquet.read(path, self._schema, chosen, [group]).slice(max(first - int(start), 0), stop - int(start))
-            for start, (path, group) in zip(starts[begin:last], places[begin:last], strict=True)
-        ]
-        table = pa.concat_tables(pieces).slice(0, stop - first)
-        return {name: self._array(name, table) for name in chosen}
+        if not 0 <= first < stop <= len(self):
+            raise IndexError(f"{self.root}: expected frames within [0, {len(self)}), got {first} to {stop}")
+        starts = self._groups[0]
+        groups = range(int(np.searchsorted(starts, first, side="right")) - 1, int(np.searchsorted(starts, stop)))
+        pieces = [self._group_numbers(group) for group in groups]
+        table = pa.concat_tables(pieces).slice(first - int(starts[groups[0]]), stop - first)
+        return {name: self._array(name, table) for name in self._numbers}
 
     def table(self, name: Table) -> "pd.DataFrame":
         """One of our own tables, all batches: streams, worlds, switches, segments, keyframes or content.
@@ -134,9 +133,9 @@ class Release:
         """As `table`, as Arrow has it."""
         import pyarrow as pa
 
-        expected = table_schema(name, self.info["features"])
-        files = sorted(self.root.glob(f"meta/{name}/file-*.parquet"))
-        return pa.concat_tables([expected.empty_table(), *(parquet.read(path, expected) for path in files)])
+        columns = table_schema(name, self.info["features"])
+        found = [parquet.read(path, columns) for path in sorted(self.root.glob(f"meta/{name}/file-*.parquet"))]
+        return self._whole(f"meta/{name}", pa.concat_tables([columns.empty_table(), *found]))
 
     def split(self, name: str) -> np.ndarray:
         """Frame numbers of the split `name` (`train`, `val`), int64, ascending; empty if there is no such split."""
@@ -251,6 +250,22 @@ class Release:
                 f"{self.root}: {total:,} frames in data, meta/info.json says {len(self):,}; get the release anew"
             )
         return np.asarray(starts, dtype=np.int64), places
+
+    def _whole(self, name: str, table: "pa.Table") -> "pa.Table":
+        """The table; `ArtefactError` if a value is missing that must be there."""
+        for column in set(table.column_names) - NULLABLE:
+            values = table.column(column).combine_chunks()
+            while values.null_count == 0 and values.type.num_fields:
+                values = values.flatten()
+            if values.null_count:
+                raise ArtefactError(
+                    f"{self.root / name}: values of column {column!r} are missing; get the release anew"
+                )
+        return table
+
+    def _read_numbers(self, number: int) -> "pa.Table":
+        path, group = self._groups[1][number]
+        return parquet.read(path, self._schema, list(self._numbers), [group])
 
     def _read_group(self, number: int) -> "pa.Array":
         path, group = self._groups[1][number]

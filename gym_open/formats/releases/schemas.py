@@ -11,6 +11,9 @@ STATS = "stats/"
 """What columns of `meta/episodes` are called, with `<feature>/<statistic>` after it: statistics of an episode."""
 STATISTICS = ("min", "max", "mean", "std", "count")
 
+NULLABLE = frozenset({"split"})
+"""Columns that may lack a value: a world that was never visited is in no split."""
+
 _I, _S, _B, _D = pa.int64(), pa.string(), pa.bool_(), pa.list_(pa.float64())
 _TABLES: dict[Table, list[tuple[str, pa.DataType]]] = {
     "streams": [
