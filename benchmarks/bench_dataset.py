@@ -148,7 +148,7 @@ def show(rounds: list[Rates]) -> None:
     opens = statistics.median(1000 / row["opens"] for row in rounds)
     console.print(
         f"cache: made at {median('cache in memory')} frames/s in memory, {median('cache on disk')} on disk; found "
-        f"again in {opens:.0f} ms\nbytes a frame: {median('bytes')} of the release, {median('cache bytes')} of its cache"
+        f"again in {opens:.0f} ms\nbytes a frame: {median('bytes')} of the release, {median('cache bytes')} cached"
     )
 
 
