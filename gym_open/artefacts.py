@@ -279,8 +279,9 @@ def verify(path: Path, kind: str | None = None, *, hashed: Callable[[str], bool]
 
 
 def build(
-    out: Path, *, kind: str, config: Config, parents: Sequence[Path], work: Callable[[Path], Mapping[str, Any]]
-) -> Outcome:
+    out: Path, *, kind: str, config: Config, parents: Sequence[Path], work: Callable[[Path], Mapping[str, Any]],
+    replace: bool = True,
+) -> Outcome:  # fmt: skip
     """Make the artefact `out` unless it is already there and up to date.
 
     `work` gets a folder to write the payload into and returns the facts for the lineage. The folder survives a kill:
@@ -292,10 +293,11 @@ def build(
         config: everything that decides the result, the seed included.
         parents: folders of the input artefacts; each is verified byte by byte first.
         work: writes the payload.
+        replace: whether an artefact of other inputs at `out` is set aside, rather than left alone.
 
     Raises:
         ArtefactError: if a parent is damaged, `out` is something else, or the disk is full.
-        UsageError: if another process is writing `out` now.
+        UsageError: if another process is writing `out` now, or it is there, of other inputs, and not to be replaced.
     """
     out = out.absolute()
     inputs = [Parent(digest=verify(parent), manifest=manifest(parent), lineage=lineage(parent)) for parent in parents]
@@ -306,6 +308,8 @@ def build(
         if lineage(out).key == key:
             _verify_own(out)
             return Outcome(path=out, made=False)
+        if not replace:
+            raise UsageError(f"{out}: is there already, made of other inputs or by other code; give another --out")
     partial = out.parent / f".{out.name}.partial"
     partial.parent.mkdir(parents=True, exist_ok=True)
     with _lock(out):

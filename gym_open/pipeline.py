@@ -123,7 +123,7 @@ def _learn_without_task(plan: Plan, root: Path, seed: int, journal: Journal) -> 
 
     log = journal.stage("collect", lambda: collect(plan.collect, root / f"collect/logs/curl-ride-seed{seed}"))
     release = journal.stage(
-        "dataset build", lambda: build_release(plan.release, log, root / f"datasets/open/explore-seed{seed}")
+        "dataset build", lambda: build_release(plan.release, [log], root / f"datasets/open/explore-seed{seed}")
     )
     encoder = journal.stage(
         "train encoder", lambda: train_encoder(plan.encoder, release, root / f"train/encoders/curl-seed{seed}")

@@ -1,182 +1,145 @@
-"""Logs become a release: `build_release(config, logs, out)`.
+"""Logs become a release: `build_release(config, logs, out)`; or are appended to one that there is."""
 
-Logs are read an episode at a time, train's first, so that each split is a range of episodes as LeRobot has it.
-"""
-
-import shutil
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Literal
 
 from gym_open import artefacts, progress
+from gym_open.config import to_dict
 from gym_open.datasets.card import card
 from gym_open.datasets.config import ReleaseConfig
-from gym_open.datasets.frames import LENGTH_CAP, encode_pngs, numbers
-from gym_open.datasets.lerobot_files import DataFiles, write_episodes, write_info, write_stats, write_tasks
-from gym_open.datasets.splits import Split, held_out, split_of
-from gym_open.datasets.statistics import Moments, PictureMoments
-from gym_open.datasets.tables import segment_row, write_tables
-from gym_open.errors import ArtefactError
-from gym_open.formats.pictures import workers
-from gym_open.formats.releases.features import Features, features
-from gym_open.formats.releases.layout import IMAGE
-
-if TYPE_CHECKING:
-    from gym_open.formats.logs.reader import Log
-    from gym_open.formats.logs.schemas import Segment
-
-SPLITS: tuple[Split, ...] = ("train", "val")
+from gym_open.datasets.sources import Play, episodes_of_logs, plays_of, shares_of, units_of
+from gym_open.datasets.splits import Unit, assign, unit_of
+from gym_open.datasets.tables import tables_of_logs
+from gym_open.datasets.versions import latest_below
+from gym_open.datasets.writer import ReleaseWriter
+from gym_open.errors import ArtefactError, UsageError
+from gym_open.formats.releases import Release, open_release
+from gym_open.formats.releases.features import Features, features, objects
+from gym_open.formats.releases.info import read_info
+from gym_open.formats.releases.layout import PART, Split
 
 
-def build_release(config: ReleaseConfig, logs: Path, out: Path) -> artefacts.Outcome:
-    """Build the release `out` from the log artefact `logs`.
+class AppendConfig(ReleaseConfig, frozen=True):
+    """What an appended release is sealed with."""
 
-    The same logs and configuration give the same bytes in any folder, with any number of threads.
+    append: Literal[True] = True
+    """The episodes of the version before are in it, file by file."""
+
+
+def build_release(
+    config: ReleaseConfig, logs: Sequence[Path], out: Path, *, previous: Path | None = None, append: bool = False,
+    workers: int | None = None, replace: bool = False,
+) -> artefacts.Outcome:  # fmt: skip
+    """Build the release `out` from log artefacts.
+
+    The same logs, configuration and previous version give the same bytes in any folder, with any number of workers. A
+    build that was interrupted goes on when it is run again.
 
     Args:
         config: all that decides the release.
-        logs: folder of a log artefact.
-        out: folder of the release.
+        logs: folders of log artefacts; streams are numbered in their order.
+        out: folder of the release; the versions of one release are siblings called X.Y.Z.
+        previous: release to compare with; the highest lower version beside `out`, if not given and there is one.
+        append: take over the episodes of `previous`, files byte for byte, and add those of `logs`.
+        workers: threads; all processors if not given.
+        replace: set aside what stands at `out` if it was made of other inputs, rather than refuse.
 
     Raises:
-        ArtefactError: if a log is missing, damaged, empty, or not of free play in the sandbox (naming the file); no
-            release is left behind.
+        ArtefactError: if a log is missing, damaged, empty, or not of free play in the sandbox (naming the file), or the
+            version says other than what was changed; no release is left behind.
+        UsageError: if `out` was made of other inputs and `replace` is false, or there is nothing to append to.
     """
-    from gym_open.formats.logs.reader import open_logs
+    previous = previous or latest_below(out, config.version)
+    if append and previous is None:
+        raise UsageError(f"{out}: nothing to append to: no version below {config.version} beside it; give --previous")
+    sealed = AppendConfig(**to_dict(config)) if append else config
 
     def work(folder: Path) -> Mapping[str, Any]:
-        if (kind := artefacts.lineage(logs).kind) != "log":
-            raise ArtefactError(
-                f"{logs}: expected an artefact of kind 'log', got {kind!r}; give one of `gym-open collect`"
-            )
-        for item in folder.iterdir():  # what an interrupted build left: begin again
-            if item.name != artefacts.SCRATCH:
-                shutil.rmtree(item) if item.is_dir() else item.unlink()
-        return write_release(config, [_task_free(log) for log in open_logs(logs)], folder)
+        before = open_release(previous) if previous else None
+        facts = _write(config, logs, folder, before if append else None, workers)
+        release = Release(folder, "", read_info(folder))
+        rows = [{str(key): value for key, value in row.items()} for row in release.episodes.to_dict("records")]
+        (folder / "README.md").write_text(card(config, facts, rows, release.info["features"]), encoding="utf-8")
+        return facts
 
-    return artefacts.build(out, kind="release", config=config, parents=[logs], work=work)
-
-
-def _task_free(log: "Log") -> "Log":
-    """The log, if it was played without a task: what a person played on test puzzles must never train an encoder."""
-    if tasks := {puzzle.task for puzzle in log.puzzles} - {"sandbox"}:
-        raise ArtefactError(
-            f"{log.path}: holds puzzles of {', '.join(sorted(tasks))}; a release is made of play in the sandbox alone"
-        )
-    return log
+    parents = [*logs, *([previous] if previous else [])]
+    return artefacts.build(out, kind="release", config=sealed, parents=parents, work=work, replace=replace)
 
 
-def write_release(config: ReleaseConfig, logs: "Sequence[Log]", folder: Path) -> dict[str, int]:
-    """Write a release's payload into `folder` and return its facts: frames, episodes, steps.
+def _write(
+    config: ReleaseConfig, logs: Sequence[Path], folder: Path, after: Release | None, workers: int | None
+) -> dict[str, Any]:
+    """Write data and meta of a release, or of one that goes on from `after`; return its facts."""
+    plays = plays_of(logs, int(after.table("streams")["stream"].max()) + 1 if after else 0)
+    described = _features(config, plays, after)
+    known = _known_units(config, after) if after else {}
+    splits = assign(units_of(config, plays), config.val_fraction, config.seed, known)
+    ours = {
+        "split_by": config.split_by,
+        "val": sorted(unit for unit, split in splits.items() if split == "val"),
+        "max_episode_steps": config.max_episode_steps,
+        "pictures": config.pictures,
+    }
+    parts = [name.removeprefix(PART) for name in described if name.startswith(PART)]
+    with (
+        ReleaseWriter(
+            folder, config, described, shares_of(config, plays, splits),
+            ours=ours, data_file_mb=config.data_file_mb, after=after, workers=workers,
+        ) as writer,
+        progress.bar("dataset build", sum(play.log.n_steps for play in plays)) as bar,
+    ):  # fmt: skip
+        for play in plays:
+            if writer.skip(shares_of(config, [play], splits)):
+                bar.advance(play.log.n_steps)
+                continue
+            for episode in episodes_of_logs(config, [play], splits, parts):
+                writer.add(episode)
+                bar.advance(episode.row["steps"])
+        return writer.close(tables_of_logs(config, plays, splits, described))
+
+
+def _features(config: ReleaseConfig, plays: Sequence[Play], after: Release | None) -> Features:
+    """The features of all plays, or of the release that is appended to, which must have them.
 
     Raises:
-        ArtefactError: if the logs hold no segment.
+        ArtefactError: if there is no play, or the plays are of different models.
+        UsageError: if the release that is appended to is of other features or rules.
     """
-    val = held_out(config, logs)
-    with ThreadPoolExecutor(workers()) as pool, progress.bar("dataset build", sum(log.n_steps for log in logs)) as bar:
-        writer: _Writer | None = None
-        for split in SPLITS:
-            for segment in _segments(config, logs, val, split):
-                writer = writer or _Writer(folder, config, features(segment.object_names), pool)
-                writer.add(segment, split)
-                bar.advance(len(segment.actions))
-        if writer is None:
-            places = ", ".join(str(log.path) for log in logs) or "no log file"
-            raise ArtefactError(f"{places}: no segment to make a release of; collect some steps first")
-        writer.close()
-    ours = {
-        "name": config.name,
-        "split_by": config.split_by,
-        "val": sorted(val),
-        "max_episode_steps": config.max_episode_steps,
-        "objects": list(writer.objects),
-    }
-    facts = writer.finish(ours)
-    write_tables(folder, config, logs, val, writer.segments)
-    (folder / "README.md").write_text(card(config, facts, writer.episodes, writer.described), encoding="utf-8")
-    return facts
-
-
-def _segments(config: ReleaseConfig, logs: "Sequence[Log]", val: frozenset[str], split: Split) -> "Iterator[Segment]":
-    """Segments of a split, in pieces of an episode's length."""
-    for log in logs:
-        visited = [log.puzzles[switch.to_world].digest for switch in log.switches if switch.to_world >= 0]
-        if all(split_of(config, log.stream, puzzle, val) != split for puzzle in visited):
-            continue  # spares reading the whole log again
-        for segment in log.segments(config.max_episode_steps):
-            if split_of(config, log.stream, segment.puzzle.digest, val) == split:
-                yield segment
-
-
-class _Writer:
-    """Counts frames and episodes while the files grow."""
-
-    def __init__(self, folder: Path, config: ReleaseConfig, described: Features, pool: Executor) -> None:
-        self.described = described
-        self.episodes: list[dict[str, Any]] = []
-        self.segments: list[dict[str, Any]] = []
-        self.objects: tuple[str, ...] = ()
-        self._folder, self._config, self._pool = folder, config, pool
-        self._files = DataFiles(folder, described, config.data_file_mb * 2**20)
-        self._moments = {name: Moments(item["shape"][0]) for name, item in described.items() if name != IMAGE}
-        self._pictures = PictureMoments()
-        self._frames = 0
-
-    def add(self, segment: "Segment", split: Split) -> None:
-        """Add a segment, or the next piece of one, as an episode."""
-        self.objects = self.objects or segment.object_names
-        if segment.object_names != self.objects:
+    parts = sorted({part for play in plays for part in play.log.reward_parts})
+    names: tuple[str, ...] = ()
+    for play in plays:
+        first = next(play.log.segments(1), None)
+        if first is None:
+            continue
+        names = names or first.object_names
+        if first.object_names != names:
             raise ArtefactError(
-                f"stream {segment.stream}, segment {segment.index}: objects {segment.object_names}, other segments "
-                f"have {self.objects}; logs of different models do not go into one release"
+                f"{play.log.path}: its objects are {first.object_names}, those of other logs {names}; logs of "
+                "different models do not go into one release"
             )
-        if segment.segment_step == 0:
-            self.segments.append(segment_row(segment))
-        steps, images = len(segment.actions), segment.images
-        self.segments[-1].update(steps=segment.segment_step + steps, ended=segment.ended)
-        values = numbers(segment, episode=len(self.episodes), start=self._frames)
-        for name, moments in self._moments.items():
-            moments.update(values[name])
-        self._pictures.update(images)
-        chunk, file = self._files.add(values, encode_pngs(images, self._pool))
-        self.episodes.append(
-            {
-                "episode_index": len(self.episodes),
-                "length": len(images),
-                "dataset_from_index": self._frames,
-                "dataset_to_index": self._frames + len(images),
-                "data/chunk_index": chunk,
-                "data/file_index": file,
-                "stream": segment.stream,
-                "segment": segment.index,
-                "piece": segment.segment_step // self._config.max_episode_steps,
-                "world": segment.world,
-                "puzzle": segment.puzzle.digest,
-                "first_step": segment.first_step,
-                "steps": steps,
-                "continued": segment.continued or segment.segment_step > 0,
-                "ended": segment.ended or LENGTH_CAP,
-                "split": split,
-            }
-        )
-        self._frames += len(images)
+    if not names:
+        places = ", ".join(str(play.log.path) for play in plays) or "no log file"
+        raise ArtefactError(f"{places}: no segment to make a release of; collect some steps first")
+    if after is None:
+        return features(names, parts, config.pictures)
+    found = after.info["features"]
+    settings = {name: getattr(config, name) for name in ("name", "split_by", "max_episode_steps", "pictures")}
+    there = {name: after.info["gym_open"][name] for name in settings}
+    settings |= {"objects": list(names), "reward parts": [part for part in parts if PART + part not in found]}
+    there |= {"objects": objects(found), "reward parts": []}
+    for field, value in settings.items():
+        if value != there[field]:
+            raise UsageError(
+                f"{after.root}: cannot be appended to: its {field}: {there[field]!r}, now: {value!r}; give the "
+                "same, or build a release of all logs"
+            )
+    return found
 
-    def close(self) -> None:
-        """Finish the data files."""
-        self._files.close()
 
-    def finish(self, ours: dict[str, Any]) -> dict[str, int]:
-        """Write LeRobot's records of what was added."""
-        train = sum(row["split"] == "train" for row in self.episodes)
-        count = len(self.episodes)
-        splits = {"train": f"0:{train}"} | ({"val": f"{train}:{count}"} if train < count else {})
-        write_info(
-            self._folder, self.described, episodes=count, frames=self._frames, splits=splits,
-            data_file_mb=self._config.data_file_mb, ours=ours,
-        )  # fmt: skip
-        stats = {name: moments.result() for name, moments in self._moments.items()}
-        write_stats({**stats, IMAGE: self._pictures.result()}, self._folder)
-        write_tasks(self._folder)
-        write_episodes(self.episodes, self._folder)
-        return {"frames": self._frames, "episodes": count, "steps": sum(row["steps"] for row in self.episodes)}
+def _known_units(config: ReleaseConfig, after: Release) -> dict[Unit, Split]:
+    rows = after.episodes
+    return {
+        unit_of(config.split_by, int(stream), puzzle): split
+        for stream, puzzle, split in zip(rows["stream"], rows["puzzle"], rows["split"], strict=True)
+    }

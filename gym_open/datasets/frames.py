@@ -8,14 +8,14 @@
 Of a segment longer than the cap, each piece is an episode; the observation at a cut ends one and begins the next.
 """
 
-from concurrent.futures import Executor
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gym_open.envs.constants import N_ACTIONS
-from gym_open.formats.pictures import encode_png
 from gym_open.formats.releases.features import fps
+from gym_open.formats.releases.layout import PART
 
 if TYPE_CHECKING:
     from gym_open.formats.logs.schemas import Segment
@@ -24,17 +24,14 @@ LENGTH_CAP = "length_cap"
 """`ended` of an episode that was cut for its length; the next episode goes on from its last observation."""
 NO_ACTION = -1
 """`action.index` of the frame after the last action."""
-_SPAN = 32
-"""Pictures that a thread codes at a time."""
 
 
-def numbers(segment: "Segment", *, episode: int, start: int) -> dict[str, np.ndarray]:
-    """Every feature but the picture, steps + 1 rows each, by the names of `features.features`.
+def numbers(segment: "Segment", parts: Sequence[str] = ()) -> dict[str, np.ndarray]:
+    """Every feature but the picture and the bookkeeping, steps + 1 rows each, by the names of `features.features`.
 
     Args:
         segment: what becomes an episode.
-        episode: its number in the release.
-        start: number of its first frame in the release.
+        parts: names of the release's parts of the reward: those that the log has not are NaN.
     """
     steps, contacts = len(segment.actions), segment.contacts
     state = segment.object_state.astype(np.float32)
@@ -49,6 +46,7 @@ def numbers(segment: "Segment", *, episode: int, start: int) -> dict[str, np.nda
         "action.index": _padded(segment.actions, np.int64, NO_ACTION),
         "reward.intrinsic": _padded(segment.intrinsic_reward, np.float32),
         "world_model.loss": _padded(segment.world_model_loss, np.float32, _nothing(segment.world_model_loss)),
+        **{PART + name: _part(segment.reward_parts.get(name), steps) for name in parts},
         "policy.entropy": _padded(segment.policy_entropy, np.float32),
         "policy.value": _padded(segment.value, np.float32),
         "contact.count": _padded(np.array([len(step) for step in contacts]), np.int64),
@@ -60,9 +58,6 @@ def numbers(segment: "Segment", *, episode: int, start: int) -> dict[str, np.nda
         "transition.valid": row < steps,
         "timestamp": (row / fps()).astype(np.float32),
         "frame_index": row,
-        "episode_index": np.full(steps + 1, episode),
-        "index": start + row,
-        "task_index": np.zeros(steps + 1, dtype=np.int64),
     }
 
 
@@ -75,10 +70,6 @@ def _nothing(losses: np.ndarray) -> float:
     return float("nan") if np.isnan(losses).all() and losses.size else 0.0
 
 
-def encode_pngs(images: np.ndarray, pool: Executor) -> list[bytes]:
-    """PNG files of (n, H, W, 3) uint8 pictures, in their order, encoded by the threads of `pool`."""
-
-    def encode(first: int) -> list[bytes]:
-        return [encode_png(image) for image in images[first : first + _SPAN]]
-
-    return [data for span in pool.map(encode, range(0, len(images), _SPAN)) for data in span]
+def _part(values: np.ndarray | None, steps: int) -> np.ndarray:
+    """NaN where there was no action, or no such part."""
+    return _padded(np.full(steps, np.nan) if values is None else values, np.float32, float("nan"))

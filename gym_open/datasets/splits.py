@@ -1,36 +1,33 @@
 """Train and val share no world (or no stream): never split by step, since neighbouring frames are near copies."""
 
-from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Iterable, Mapping
+from typing import Literal
 
 from gym_open import seeding
-from gym_open.datasets.config import ReleaseConfig
+from gym_open.formats.releases.layout import Split
 
-if TYPE_CHECKING:
-    from gym_open.formats.logs.reader import Log
-
-Split = Literal["train", "val"]
+Unit = str
+"""What is never in two splits: the digest of a layout, or the number of a stream."""
 
 
-def held_out(config: ReleaseConfig, logs: "Sequence[Log]") -> frozenset[str]:
-    """Layout digests (or stream numbers, as text) that make up val.
+def unit_of(split_by: Literal["stream", "world"], stream: int, puzzle: str) -> Unit:
+    """The unit that a stream's segment in the layout `puzzle` belongs to."""
+    return puzzle if split_by == "world" else str(stream)
 
-    `val_fraction` of those that were visited, rounded half up, chosen by the seed; one at least stays in train.
+
+def assign(
+    units: Iterable[Unit], val_fraction: float, seed: int, known: Mapping[Unit, Split] | None = None
+) -> dict[Unit, Split]:
+    """Split of every unit: `known` ones stay where they are, new ones are drawn among themselves by the seed.
+
+    `val_fraction` of the new ones, rounded half up, go to val; one at least of all is in train, and one in val if there
+    are two or more and `val_fraction` is not 0.
     """
-    units = sorted(set(_units(config, logs)))
-    count = min(int(config.val_fraction * len(units) + 0.5), len(units) - 1)
-    order = seeding.generator(config.seed, "release", "val").permutation(len(units))
-    return frozenset(units[i] for i in order[: max(count, 0)])
-
-
-def _units(config: ReleaseConfig, logs: "Sequence[Log]") -> Iterable[str]:
-    for log in logs:
-        if config.split_by == "stream":
-            yield str(log.stream)
-        else:
-            yield from (log.puzzles[switch.to_world].digest for switch in log.switches if switch.to_world >= 0)
-
-
-def split_of(config: ReleaseConfig, stream: int, puzzle: str, val: frozenset[str]) -> Split:
-    """The split of a stream's segment whose layout digest is `puzzle`."""
-    return "val" if (puzzle if config.split_by == "world" else str(stream)) in val else "train"
+    known = known or {}
+    new = sorted(set(units) - set(known))
+    least = int(val_fraction > 0 and len(new) + len(known) > 1 and "val" not in known.values())
+    most = len(new) - ("train" not in known.values())
+    count = max(0, min(max(int(val_fraction * len(new) + 0.5), least), most))
+    order = seeding.generator(seed, "release", "val").permutation(len(new))
+    held = {new[i] for i in order[:count]}
+    return {**known, **{unit: "val" if unit in held else "train" for unit in new}}

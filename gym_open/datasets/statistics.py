@@ -1,80 +1,94 @@
-"""Statistics of every feature over all frames, in one pass and bounded memory (LeRobot's `meta/stats.json`)."""
+"""Statistics of every feature: of an episode, and merged over episodes (LeRobot's `meta/episodes` and `stats.json`).
 
+Minimum, maximum, mean, standard deviation (population) and count, in float64, over the frames in which a feature is
+finite; of no such frame, 0 throughout.
+"""
+
+from collections.abc import Mapping
 from typing import Any
 
+import msgspec
 import numpy as np
 
+from gym_open.formats.releases.schemas import STATISTICS
 
-class Moments:
-    """Minimum, maximum, mean and standard deviation of a vector, batch by batch in float64.
 
-    Batches are merged by Chan's rule: M2 = M2_a + M2_b + δ² n_a n_b / (n_a + n_b) with δ = mean_b − mean_a
-    (Chan, Golub, LeVeque 1979). Values that are not finite are left out.
+class Stats(msgspec.Struct, frozen=True, eq=False):
+    """Of one feature: arrays of its shape, or (3, 1, 1) for a picture, whose levels are scaled to [0, 1]."""
+
+    min: np.ndarray
+    max: np.ndarray
+    mean: np.ndarray
+    std: np.ndarray
+    count: int
+    """Frames."""
+
+    def plain(self) -> dict[str, Any]:
+        """As LeRobot writes it."""
+        values = {name: getattr(self, name).tolist() for name in STATISTICS[:-1]}
+        return {**values, "count": [self.count]}
+
+
+def read_stats(row: Mapping[str, Any]) -> Stats:
+    """What `Stats.plain` gave, read from Arrow or JSON."""
+    values = {name: np.array(row[name], dtype=np.float64) for name in STATISTICS[:-1]}
+    return Stats(**values, count=int(row["count"][0]))
+
+
+def feature_stats(values: np.ndarray) -> Stats:
+    """Of a feature that is a number or a vector: shape (n,) or (n, d). A vector is finite where all of it is."""
+    rows = values.reshape(len(values), -1).astype(np.float64)
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    if not len(rows):
+        nothing = np.zeros(rows.shape[1])
+        return Stats(nothing, nothing, nothing, nothing, 0)
+    return Stats(rows.min(axis=0), rows.max(axis=0), rows.mean(axis=0), rows.std(axis=0), len(rows))
+
+
+def picture_stats(images: np.ndarray) -> Stats:
+    """Of pictures (n, H, W, 3) uint8, a channel: exact, from counts of each of the 256 levels."""
+    from PIL import Image
+
+    tall = np.ascontiguousarray(images).reshape(-1, images.shape[2], 3)
+    counts = np.array(Image.fromarray(tall).histogram()).reshape(3, 256)  # 7 times as fast as np.bincount
+    levels, total = np.arange(256) / 255, counts.sum(axis=1, keepdims=True)
+    mean = (counts * levels).sum(axis=1, keepdims=True) / total
+    variance = (counts * (levels - mean) ** 2).sum(axis=1, keepdims=True) / total
+    present = counts > 0
+    low, high = levels[present.argmax(axis=1)][:, None], levels[255 - present[:, ::-1].argmax(axis=1)][:, None]
+    shape = (3, 1, 1)
+    return Stats(
+        low.reshape(shape), high.reshape(shape), mean.reshape(shape), np.sqrt(variance).reshape(shape), len(images)
+    )
+
+
+class Merger:
+    """Statistics of all frames from those of the episodes, in their order.
+
+    By Chan's rule: M2 = M2_a + M2_b + δ² n_a n_b / (n_a + n_b) with δ = mean_b − mean_a (Chan, Golub, LeVeque 1979).
     """
 
-    def __init__(self, width: int) -> None:
-        self._count = np.zeros(width)
-        self._mean = np.zeros(width)
-        self._m2 = np.zeros(width)
-        self._low = np.full(width, np.inf)
-        self._high = np.full(width, -np.inf)
-
-    def update(self, batch: np.ndarray) -> None:
-        """Take in a batch of shape (n,) or (n, width)."""
-        values = batch.reshape(len(batch), -1).astype(np.float64)
-        good = np.isfinite(values)
-        count = good.sum(axis=0)
-        mean = np.where(good, values, 0).sum(axis=0) / np.maximum(count, 1)
-        m2 = (np.where(good, values - mean, 0) ** 2).sum(axis=0)
-        total = np.maximum(self._count + count, 1)
-        delta = mean - self._mean
-        self._m2 += m2 + delta**2 * self._count * count / total
-        self._mean += delta * count / total
-        self._count += count
-        self._low = np.minimum(self._low, np.where(good, values, np.inf).min(axis=0))
-        self._high = np.maximum(self._high, np.where(good, values, -np.inf).max(axis=0))
-
-    def result(self) -> dict[str, Any]:
-        """LeRobot's entry: min, max, mean, std (population), and count of finite frames; 0 where nothing was finite.
-
-        LeRobot has one count a feature: of a vector whose numbers are not all finite in the same frames, the greatest.
-        """
-        empty = self._count == 0
-        return {
-            "min": np.where(empty, 0, self._low).tolist(),
-            "max": np.where(empty, 0, self._high).tolist(),
-            "mean": self._mean.tolist(),
-            "std": np.sqrt(self._m2 / np.maximum(self._count, 1)).tolist(),
-            "count": [int(self._count.max())],
-        }
-
-
-class PictureMoments:
-    """The same for pictures, a channel: exact, from counts of each of the 256 levels."""
-
     def __init__(self) -> None:
-        self._frames = 0
-        self._counts = np.zeros((3, 256), dtype=np.int64)
+        self._all: Stats | None = None
 
-    def update(self, images: np.ndarray) -> None:
-        """Take in pictures of shape (n, H, W, 3) uint8."""
-        from PIL import Image
+    def add(self, other: Stats) -> None:
+        """Take in the next episode's."""
+        one = self._all
+        if one is None or not one.count:
+            self._all = other
+        elif other.count:
+            total = one.count + other.count
+            delta = other.mean - one.mean
+            m2 = one.std**2 * one.count + other.std**2 * other.count + delta**2 * (one.count * other.count / total)
+            self._all = Stats(
+                np.minimum(one.min, other.min),
+                np.maximum(one.max, other.max),
+                one.mean + delta * (other.count / total),
+                np.sqrt(m2 / total),
+                total,
+            )
 
-        tall = np.ascontiguousarray(images).reshape(-1, images.shape[2], 3)
-        self._counts += np.array(Image.fromarray(tall).histogram()).reshape(3, 256)  # 7 times as fast as np.bincount
-        self._frames += len(images)
-
-    def result(self) -> dict[str, Any]:
-        """LeRobot's entry: shape (3, 1, 1), levels scaled to [0, 1]."""
-        levels = np.arange(256) / 255
-        total = self._counts.sum(axis=1, keepdims=True)
-        mean = (self._counts * levels).sum(axis=1, keepdims=True) / total
-        variance = (self._counts * (levels - mean) ** 2).sum(axis=1, keepdims=True) / total
-        present = self._counts > 0
-        entry = {
-            "min": levels[present.argmax(axis=1)][:, None],
-            "max": levels[255 - present[:, ::-1].argmax(axis=1)][:, None],
-            "mean": mean,
-            "std": np.sqrt(variance),
-        }
-        return {**{name: value[:, :, None].tolist() for name, value in entry.items()}, "count": [self._frames]}
+    def result(self) -> Stats:
+        """Of all that was added, which must have been something."""
+        assert self._all is not None
+        return self._all

@@ -1,81 +1,67 @@
-"""Tables of our own beside LeRobot's: streams, worlds, switches and segments, as parquet under `meta/`."""
+"""Our tables of streams, worlds and switches, from logs; and of segments, from episodes."""
 
-from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 import msgspec
 import pyarrow as pa
 
 from gym_open.datasets.config import ReleaseConfig
-from gym_open.datasets.lerobot_files import write_table
-from gym_open.datasets.splits import split_of
-from gym_open.formats.releases.layout import Table
-
-if TYPE_CHECKING:
-    from gym_open.formats.logs.reader import Log
-    from gym_open.formats.logs.schemas import Segment
-
-_I, _S, _B, _D = pa.int64(), pa.string(), pa.bool_(), pa.list_(pa.float64())
-SCHEMAS: dict[Table, pa.Schema] = {
-    "streams": pa.schema([("stream", _I), ("steps", _I), ("config", _S), ("provenance", _S)]),
-    "worlds": pa.schema([("stream", _I), ("world", _I), ("puzzle", _S), ("split", _S), ("json", _S)]),
-    "switches": pa.schema(
-        [("stream", _I), ("step", _I), ("from_world", _I), ("to_world", _I), ("reason", _S), ("world_losses", _D)]
-    ),
-    "segments": pa.schema(
-        [
-            *[("stream", _I), ("segment", _I), ("world", _I), ("puzzle", _S), ("first_step", _I), ("steps", _I)],
-            *[("continued", _B), ("ended", _S), ("integration_state", _D)],
-        ]
-    ),
-}
-"""Columns of each table."""
+from gym_open.datasets.sources import Play
+from gym_open.datasets.splits import Unit, unit_of
+from gym_open.formats.releases.features import Features
+from gym_open.formats.releases.layout import Split, Table
+from gym_open.formats.releases.schemas import table_schema
 
 
-def write_tables(
-    folder: Path, config: ReleaseConfig, logs: "Sequence[Log]", val: frozenset[str], segments: list[dict[str, Any]]
-) -> None:
-    """Write all four; `segments` are rows of `segment_row`."""
+def tables_of_logs(
+    config: ReleaseConfig, plays: Iterable[Play], splits: Mapping[Unit, Split], described: Features
+) -> dict[Table, pa.Table]:
+    """What the logs say beside the frames: their configurations, their pools of puzzles, the curriculum's switches."""
+    plays = list(plays)
     rows: dict[Table, list[dict[str, Any]]] = {
-        "streams": [_stream_row(log) for log in logs],
-        "worlds": [row for log in logs for row in _world_rows(config, log, val)],
-        "switches": [{"stream": log.stream, **msgspec.structs.asdict(item)} for log in logs for item in log.switches],
-        "segments": sorted(segments, key=lambda row: (row["stream"], row["segment"])),
+        "streams": [_stream_row(play) for play in plays],
+        "worlds": [row for play in plays for row in _world_rows(config, play, splits)],
+        "switches": [
+            {"stream": play.stream, **msgspec.structs.asdict(item)} for play in plays for item in play.log.switches
+        ],
     }
-    for name, columns in SCHEMAS.items():
-        write_table(pa.Table.from_pylist(rows[name], schema=columns), folder / f"meta/{name}.parquet")
+    return {name: pa.Table.from_pylist(rows[name], schema=table_schema(name, described)) for name in rows}
 
 
-def _stream_row(log: "Log") -> dict[str, Any]:
-    config, provenance = (msgspec.json.encode(item, order="sorted").decode() for item in (log.config, log.provenance))
-    return {"stream": log.stream, "steps": log.n_steps, "config": config, "provenance": provenance}
+def _stream_row(play: Play) -> dict[str, Any]:
+    return {
+        "stream": play.stream,
+        "log": play.parent,
+        "log_stream": play.log.stream,
+        "explorer": play.explorer,
+        "steps": play.log.n_steps,
+        "seed": str(play.log.config.get("seed", "")),
+        "config": msgspec.json.encode(play.log.config, order="sorted").decode(),
+    }
 
 
-def _world_rows(config: ReleaseConfig, log: "Log", val: frozenset[str]) -> list[dict[str, Any]]:
-    visited = {switch.to_world for switch in log.switches}
+def _world_rows(config: ReleaseConfig, play: Play, splits: Mapping[Unit, Split]) -> list[dict[str, Any]]:
+    visited = {switch.to_world for switch in play.log.switches}
     return [
         {
-            "stream": log.stream,
+            "stream": play.stream,
             "world": world,
             "puzzle": puzzle.digest,
-            "split": split_of(config, log.stream, puzzle.digest, val) if world in visited else None,
+            "split": splits[unit_of(config.split_by, play.stream, puzzle.digest)] if world in visited else None,
             "json": puzzle.to_json().decode(),
         }
-        for world, puzzle in enumerate(log.puzzles)
+        for world, puzzle in enumerate(play.log.puzzles)
     ]
 
 
-def segment_row(segment: "Segment") -> dict[str, Any]:
-    """What a replay needs to know of a segment that begins here, the state it begins with included."""
-    return {
-        "stream": segment.stream,
-        "segment": segment.index,
-        "world": segment.world,
-        "puzzle": segment.puzzle.digest,
-        "first_step": segment.first_step,
-        "steps": len(segment.actions),
-        "continued": segment.continued,
-        "ended": segment.ended,
-        "integration_state": segment.integration_state,
-    }
+def segments_of_episodes(episodes: pa.Table) -> pa.Table:
+    """A row a segment, of the rows of `meta/episodes`: what of it the release holds, and how that ended."""
+    frame = episodes.to_pandas().sort_values(["stream", "segment", "piece"])
+    merged = frame.groupby(["stream", "segment"], as_index=False).agg(
+        world=("world", "first"), puzzle=("puzzle", "first"), first_step=("first_step", "first"),
+        steps=("steps", "sum"), continued=("continued", "first"), ended=("ended", "last"),
+    )  # fmt: skip
+    return pa.Table.from_pandas(
+        merged, schema=table_schema("segments", {}), preserve_index=False
+    ).replace_schema_metadata()

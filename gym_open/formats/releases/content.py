@@ -61,7 +61,7 @@ def table_digest(table: "pa.Table") -> str:
     total = hashlib.sha256()
     for name in sorted(table.column_names):
         column = table.column(name).combine_chunks()
-        total.update(canonical_json({"name": name, "type": str(column.type), "rows": len(column)}))
+        total.update(canonical_json({"name": name, "type": _kind(column.type), "rows": len(column)}))
         _add(total, column)
     return total.hexdigest()
 
@@ -93,9 +93,23 @@ def payload_digest(manifest: Mapping[str, Any]) -> str:
     return _sha256({name: entry for name, entry in manifest.items() if name not in {*RECORDS, SIGNATURE}})
 
 
+def _kind(kind: "pa.DataType") -> str:
+    """Name of a type, whatever Arrow calls the items of its lists."""
+    import pyarrow as pa
+
+    if pa.types.is_list(kind):
+        return f"list<{_kind(kind.value_type)}>"
+    if pa.types.is_fixed_size_list(kind):
+        return f"list<{_kind(kind.value_type)}, {kind.list_size}>"
+    if pa.types.is_struct(kind):
+        return f"struct<{', '.join(f'{field.name}: {_kind(field.type)}' for field in kind.fields)}>"
+    return str(kind).removeprefix("large_")  # as pandas has text
+
+
 def _add(total: _Hash, array: "pa.Array") -> None:
     """Values of a column, null or not, of numbers, text, lists and structures."""
     import pyarrow as pa
+    import pyarrow.compute as pc
 
     if array.null_count:
         total.update(np.packbits(array.is_valid().to_numpy(zero_copy_only=False)).data)
@@ -104,10 +118,10 @@ def _add(total: _Hash, array: "pa.Array") -> None:
         for i in range(kind.num_fields):
             _add(total, array.field(i))
     elif pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind):
-        _add_lengths(total, array.value_lengths())
+        _add_lengths(total, pc.list_value_length(array))
         _add(total, array.flatten())
-    elif pa.types.is_string(kind) or pa.types.is_binary(kind):
-        _add_lengths(total, array.binary_length())
+    elif str(kind).removeprefix("large_") in {"string", "binary"}:
+        _add_lengths(total, pc.binary_length(array))
         total.update(b"".join(value.as_buffer() for value in array if value.is_valid))
     elif pa.types.is_primitive(kind):
         zero = False if pa.types.is_boolean(kind) else 0

@@ -1,13 +1,13 @@
 """What a frame of a release holds: LeRobot features, and the Arrow schema that carries them."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import pyarrow as pa
 
 from gym_open.envs.constants import CONTROL_DT_S, IMAGE_SIZE, N_ACTIONS
-from gym_open.formats.releases.layout import IMAGE
+from gym_open.formats.releases.layout import IMAGE, PART
 
 STATE_FIELDS = ("x", "y", "z", "qw", "qx", "qy", "qz", "vx", "vy", "vz", "wx", "wy", "wz")
 """Position (m), quaternion, linear velocity (m/s), angular velocity (rad/s) of one object, in the world frame."""
@@ -23,11 +23,20 @@ def fps() -> int | float:
     return int(rate) if rate == int(rate) else rate
 
 
-def features(object_names: Sequence[str]) -> Features:
-    """LeRobot's description of every feature, for a model whose movable objects are `object_names`."""
+def features(
+    object_names: Sequence[str], reward_parts: Sequence[str] = (), pictures: Literal["png", "video"] = "png"
+) -> Features:
+    """LeRobot's description of every feature.
+
+    Args:
+        object_names: movable objects of the model.
+        reward_parts: what intrinsic rewards are made of.
+        pictures: PNG files, or video of a form that the writer adds under `info`.
+    """
     scalars = {
         "action.index": "int64",
         "reward.intrinsic": "float32",
+        **{PART + name: "float32" for name in reward_parts},
         "world_model.loss": "float32",
         "policy.entropy": "float32",
         "policy.value": "float32",
@@ -46,7 +55,11 @@ def features(object_names: Sequence[str]) -> Features:
     }
     names = [f"{name}.{field}" for name in object_names for field in STATE_FIELDS]
     return {
-        IMAGE: {"dtype": "image", "shape": [IMAGE_SIZE, IMAGE_SIZE, 3], "names": ["height", "width", "channels"]},
+        IMAGE: {
+            "dtype": "image" if pictures == "png" else "video",
+            "shape": [IMAGE_SIZE, IMAGE_SIZE, 3],
+            "names": ["height", "width", "channels"],
+        },
         "observation.state": _vector(STATE_FIELDS),
         "observation.environment_state": _vector(names),
         "action": _vector(ACTION_NAMES),
@@ -58,14 +71,27 @@ def _vector(names: Sequence[str]) -> dict[str, Any]:
     return {"dtype": "float32", "shape": [len(names)], "names": list(names)}
 
 
+def objects(described: Features) -> list[str]:
+    """The names that `features` was given."""
+    names = described["observation.environment_state"]["names"]
+    return [name.removesuffix(f".{STATE_FIELDS[0]}") for name in names[:: len(STATE_FIELDS)]]
+
+
+def numeric(described: Features) -> list[str]:
+    """All features but the picture."""
+    return [name for name in described if name != IMAGE]
+
+
 def schema(described: Features) -> pa.Schema:
-    """Arrow schema of the data files.
+    """Arrow schema of the data files, columns in the order of their names, as JSON has them.
 
     Its metadata lets Hugging Face's `datasets` decode pictures. It holds no fingerprint: that would depend on the path.
     """
     assert len(ACTION_NAMES) == N_ACTIONS
     fields, hub = [], {}
-    for name, feature in described.items():
+    for name, feature in sorted(described.items()):
+        if feature["dtype"] == "video":
+            continue
         if feature["dtype"] == "image":
             fields.append(pa.field(name, pa.struct([("bytes", pa.binary()), ("path", pa.string())])))
             hub[name] = {"_type": "Image"}

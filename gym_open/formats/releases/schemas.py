@@ -11,6 +11,10 @@ STATS = "stats/"
 """What columns of `meta/episodes` are called, with `<feature>/<statistic>` after it: statistics of an episode."""
 STATISTICS = ("min", "max", "mean", "std", "count")
 
+PIXEL_ERROR = "pixel_error/"
+"""What columns of `meta/episodes` are called, with `mean`, `max` or `mse` after it: absolute differences of an
+episode's video from the logged pixels, and their mean square, in levels of 255."""
+
 NULLABLE = frozenset({"split"})
 """Columns that may lack a value: a world that was never visited is in no split."""
 
@@ -33,23 +37,28 @@ _TABLES: dict[Table, list[tuple[str, pa.DataType]]] = {
         ("integration_state", _D),
     ],
 }
+EPISODE_ROW: list[tuple[str, pa.DataType]] = [
+    *[("stream", _I), ("explorer", _S), ("segment", _I), ("piece", _I), ("world", _I), ("puzzle", _S)],
+    *[("first_step", _I), ("steps", _I), ("continued", _B), ("ended", _S), ("split", _S)],
+]
+"""Columns of `meta/episodes` that are ours."""
 _EPISODES: list[tuple[str, pa.DataType]] = [
     *[("episode_index", _I), ("tasks", pa.list_(_S)), ("length", _I)],
     *[("dataset_from_index", _I), ("dataset_to_index", _I), ("data/chunk_index", _I), ("data/file_index", _I)],
-    *[("stream", _I), ("explorer", _S), ("segment", _I), ("piece", _I), ("world", _I), ("puzzle", _S)],
-    *[("first_step", _I), ("steps", _I), ("continued", _B), ("ended", _S), ("split", _S)],
+    *EPISODE_ROW,
     *[("meta/episodes/chunk_index", _I), ("meta/episodes/file_index", _I)],
 ]
 _VIDEO: list[tuple[str, pa.DataType]] = [
     *[(f"videos/{IMAGE}/chunk_index", _I), (f"videos/{IMAGE}/file_index", _I)],
     *[(f"videos/{IMAGE}/from_timestamp", pa.float64()), (f"videos/{IMAGE}/to_timestamp", pa.float64())],
+    *[(f"{PIXEL_ERROR}{name}", pa.float64()) for name in ("mean", "max", "mse")],
 ]
 
 
 def table_schema(name: Table, features: Mapping[str, Any]) -> pa.Schema:
     """Columns of one of our tables in a release with these features."""
     if name == "content":
-        return pa.schema([("episode_index", _I), *[(item, _S) for item in features if item not in BOOKKEEPING]])
+        return pa.schema([("episode_index", _I), *[(item, _S) for item in content_features(features)]])
     return pa.schema(_TABLES[name])
 
 
@@ -58,6 +67,11 @@ def episodes_schema(features: Mapping[str, Any]) -> pa.Schema:
     video = _VIDEO if features[IMAGE]["dtype"] == "video" else []
     stats = [(f"{STATS}{name}/{item}", _statistic(name, item)) for name in sorted(features) for item in STATISTICS]
     return pa.schema([*_EPISODES, *video, *stats])
+
+
+def content_features(features: Mapping[str, Any]) -> list[str]:
+    """The features that have a content digest: all but the bookkeeping, by name."""
+    return sorted(name for name in features if name not in BOOKKEEPING)
 
 
 def _statistic(feature: str, statistic: str) -> pa.DataType:

@@ -1,0 +1,144 @@
+"""Records of a whole release, made anew from its tables whenever a batch is added: statistics, digests, info.
+
+No frame is read for them: `meta/episodes` has the statistics of each episode, `meta/content` the digests.
+"""
+
+from collections.abc import Iterator, Mapping
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from gym_open.datasets.config import Header
+from gym_open.datasets.lerobot_files import write_info, write_json, write_tasks
+from gym_open.datasets.statistics import Merger, read_stats
+from gym_open.formats.releases import content
+from gym_open.formats.releases.features import Features, objects
+from gym_open.formats.releases.layout import (
+    DIGESTS_PATH,
+    EPISODES_PATHS,
+    FORMAT,
+    IMAGE,
+    STATS_PATH,
+    TABLES,
+    TASKS_PATH,
+    data_path,
+    video_path,
+)
+from gym_open.formats.releases.schemas import STATISTICS, STATS, content_features
+
+_ROWS = 256
+"""Episodes whose statistics are in memory at a time: some 20 kB each."""
+
+
+def write_meta(
+    folder: Path, described: Features, header: Header, ours: Mapping[str, Any], data_file_mb: int
+) -> dict[str, Any]:
+    """Write `meta/{tasks.parquet,stats.json,digests.json,info.json}` from the other files in `folder`.
+
+    Args:
+        folder: of the release, with all batches of data and tables in it.
+        described: of `features.features`.
+        header: name, version, licence, date.
+        ours: what else goes under `gym_open` into `info.json`.
+        data_file_mb: size at which data files were closed.
+
+    Returns:
+        Facts: frames, episodes, steps, and the release's content digest.
+    """
+    write_tasks(folder)
+    files = sorted(folder.glob(EPISODES_PATHS))
+    wanted = [name for name in pq.read_schema(files[0]).names if not name.startswith(STATS)]
+    episodes = pa.concat_tables(_read(path, wanted) for path in files)
+    write_json(_statistics(files, described), folder / STATS_PATH)
+    digests = _digests(folder, described, episodes)
+    write_json(digests, folder / DIGESTS_PATH)
+    about = {
+        "format": FORMAT,
+        "name": header.name,
+        "version": header.version,
+        "license": header.license,
+        "published": header.published,
+        "objects": objects(described),
+        "batches": len(files),
+        **ours,
+    }
+    if described[IMAGE]["dtype"] == "video":
+        about["video_error"] = _video_error(episodes)
+    frames = sum(episodes["length"].to_pylist())
+    write_info(
+        folder, described, episodes=len(episodes), frames=frames, splits=_ranges(episodes["split"].to_pylist()),
+        data_file_mb=data_file_mb, ours=about,
+    )  # fmt: skip
+    steps = sum(episodes["steps"].to_pylist())
+    return {"frames": frames, "episodes": len(episodes), "steps": steps, "content": digests["release"]}
+
+
+def _read(path: Path, columns: list[str] | None = None) -> pa.Table:
+    with pq.ParquetFile(path) as file:
+        return file.read(columns=columns)
+
+
+def _ranges(splits: list[str]) -> dict[str, str]:
+    """Ranges of episodes of each split, as LeRobot writes one: "0:10", and "0:10,14:20" after an append."""
+    found: dict[str, list[str]] = {}
+    first = 0
+    for split, group in groupby(splits):
+        stop = first + len(list(group))
+        found.setdefault(split, []).append(f"{first}:{stop}")
+        first = stop
+    return {split: ",".join(parts) for split, parts in found.items()}
+
+
+def _statistics(files: list[Path], described: Features) -> dict[str, Any]:
+    mergers = {name: Merger() for name in described}
+    columns = [f"{STATS}{name}/{statistic}" for name in described for statistic in STATISTICS]
+    for path in files:
+        with pq.ParquetFile(path) as file:
+            for batch in file.iter_batches(_ROWS, columns=columns):
+                for row in batch.to_pylist():
+                    for name, merger in mergers.items():
+                        merger.add(read_stats({key: row[f"{STATS}{name}/{key}"] for key in STATISTICS}))
+    return {name: merger.result().plain() for name, merger in mergers.items()}
+
+
+def _digests(folder: Path, described: Features, episodes: pa.Table) -> dict[str, Any]:
+    tables = {
+        name: pa.concat_tables(_read(path) for path in sorted(folder.glob(f"meta/{name}/*.parquet"))) for name in TABLES
+    }
+    of_episodes, of_pictures = [], tables["content"][IMAGE].to_pylist()
+    facts = episodes.select(content.EPISODE_FACTS).to_pylist()
+    hashes = tables["content"].select(content_features(described)).to_pylist()
+    of_episodes = [content.episode_digest(*pair) for pair in zip(hashes, facts, strict=True)]
+    files = {path: content.data_file_digest(of_episodes[span]) for path, span in _files(episodes, data_path)}
+    if described[IMAGE]["dtype"] == "video":
+        files |= {path: content.data_file_digest(of_pictures[span]) for path, span in _files(episodes, video_path)}
+    others = [TASKS_PATH, *(path.relative_to(folder).as_posix() for path in folder.glob("meta/*/**/*.parquet"))]
+    files |= {path: content.table_digest(_read(folder / path)) for path in others}
+    release = content.release_digest(described, of_episodes, episodes.select(content.EPISODE_PLACES), tables)
+    return {"release": release, "files": files}
+
+
+def _files(episodes: pa.Table, name: Any) -> Iterator[tuple[str, slice]]:
+    """Every data file, and the episodes in it."""
+    places = zip(episodes["data/chunk_index"].to_pylist(), episodes["data/file_index"].to_pylist(), strict=True)
+    first = 0
+    for place, group in groupby(places):
+        stop = first + len(list(group))
+        yield name(*place), slice(first, stop)
+        first = stop
+
+
+def _video_error(episodes: pa.Table) -> dict[str, float | None]:
+    """Of all pixels against the logged ones: mean and greatest difference in levels of 255; PSNR in dB, if finite."""
+    import numpy as np
+
+    weights = episodes["length"].to_numpy() / episodes["length"].to_numpy().sum()
+    mse = float(weights @ episodes["pixel_error/mse"].to_numpy())
+    return {
+        "mean": float(weights @ episodes["pixel_error/mean"].to_numpy()),
+        "max": float(np.max(episodes["pixel_error/max"].to_numpy())),
+        "psnr": float(10 * np.log10(255**2 / mse)) if mse else None,
+    }

@@ -1,0 +1,235 @@
+"""Episodes of a release to be: cut from logs, or taken from a release that there is."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from gym_open import artefacts
+from gym_open.agents.config import ExplorerConfig
+from gym_open.datasets.config import ReleaseConfig
+from gym_open.datasets.frames import LENGTH_CAP, numbers
+from gym_open.datasets.splits import Unit, unit_of
+from gym_open.errors import ArtefactError
+from gym_open.formats.releases import Release, parquet
+from gym_open.formats.releases.features import schema
+from gym_open.formats.releases.layout import IMAGE, SPLITS, Split, data_path
+from gym_open.formats.releases.schemas import EPISODE_ROW, content_features
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from gym_open.formats.logs.reader import Log
+    from gym_open.formats.logs.schemas import Segment
+
+
+class KeyframeAt(NamedTuple):
+    """A state of the simulation within an episode."""
+
+    segment_step: int
+    frame_index: int
+    integration_state: np.ndarray
+    """(S,) float64."""
+
+
+class Episode(msgspec.Struct, frozen=True, eq=False):
+    """T actions in T + 1 frames, wherever in a release they will stand."""
+
+    numbers: dict[str, np.ndarray]
+    """Every feature but the picture and the bookkeeping, T + 1 rows each."""
+    row: dict[str, Any]
+    """The columns `EPISODE_ROW` of `meta/episodes`."""
+    keyframes: list[KeyframeAt]
+    images: np.ndarray | None = None
+    """(T + 1, 84, 84, 3) uint8 RGB; need not be there if `pngs` is."""
+    pngs: list[bytes] | None = None
+    """PNG files that are taken over as they are."""
+
+
+class Share(NamedTuple):
+    """How much of something there is in a split."""
+
+    episodes: int = 0
+    frames: int = 0
+
+    def plus(self, episodes: int, frames: int) -> "Share":
+        """With so much more."""
+        return Share(self.episodes + episodes, self.frames + frames)
+
+
+class Play(NamedTuple):
+    """A stream of a log, and what it is called in the release."""
+
+    log: "Log"
+    stream: int
+    """Number in the release."""
+    parent: int
+    """Number of its log artefact, as they were given."""
+    explorer: str
+
+
+def plays_of(logs: Sequence[Path], first_stream: int = 0) -> list[Play]:
+    """All streams of the log artefacts `logs`, numbered on from `first_stream`.
+
+    Raises:
+        ArtefactError: if one is not a log, damaged, or not of play in the sandbox.
+    """
+    from gym_open.formats.logs.reader import open_logs
+
+    plays: list[Play] = []
+    for parent, artefact in enumerate(logs):
+        if (kind := artefacts.lineage(artefact).kind) != "log":
+            raise ArtefactError(
+                f"{artefact}: expected an artefact of kind 'log', got {kind!r}; give one of `gym-open collect`"
+            )
+        for log in open_logs(artefact):
+            _check_task_free(log)
+            plays.append(Play(log, first_stream + len(plays), parent, explorer_of(log.config)))
+    return plays
+
+
+def _check_task_free(log: "Log") -> None:
+    """What a person played on test puzzles must never train an encoder."""
+    if tasks := {puzzle.task for puzzle in log.puzzles} - {"sandbox"}:
+        raise ArtefactError(
+            f"{log.path}: holds puzzles of {', '.join(sorted(tasks))}; a release is made of play in the sandbox alone"
+        )
+
+
+def explorer_of(config: Mapping[str, Any]) -> str:
+    """Name of the explorer in a log's configuration: `icm`, `curl+ride`, …; `unknown` if it tells of none of ours."""
+    try:
+        return msgspec.convert(config["explorer"], ExplorerConfig).name
+    except (KeyError, msgspec.ValidationError):
+        return "unknown"
+
+
+def units_of(config: ReleaseConfig, plays: Iterable[Play]) -> set[Unit]:
+    """All worlds that were visited, or all streams, as `config.split_by` says."""
+    return {
+        unit_of(config.split_by, play.stream, play.log.puzzles[switch.to_world].digest)
+        for play in plays
+        for switch in play.log.switches
+        if switch.to_world >= 0
+    }
+
+
+def shares_of(config: ReleaseConfig, plays: Iterable[Play], splits: Mapping[Unit, Split]) -> dict[Split, Share]:
+    """How many episodes and frames the plays make, told from their switches before anything else is read."""
+    shares: dict[Split, Share] = {split: Share() for split in SPLITS}
+    for play in plays:
+        for entered, left in zip(play.log.switches, play.log.switches[1:], strict=False):
+            steps = left.step - entered.step
+            pieces = max(1, -(-steps // config.max_episode_steps))
+            puzzle = play.log.puzzles[entered.to_world].digest
+            split = splits[unit_of(config.split_by, play.stream, puzzle)]
+            shares[split] = shares[split].plus(pieces, steps + pieces)
+    return shares
+
+
+def episodes_of_logs(
+    config: ReleaseConfig, plays: Iterable[Play], splits: Mapping[Unit, Split], parts: Sequence[str]
+) -> Iterator[Episode]:
+    """The episodes of all plays, in the order of play, each let go before the next is read.
+
+    Args:
+        config: says how long an episode may be.
+        plays: of `plays_of`.
+        splits: of every unit.
+        parts: names of the parts of the reward that the release has.
+    """
+    for play in plays:
+        for segment in play.log.segments(config.max_episode_steps):
+            split = splits[unit_of(config.split_by, play.stream, segment.puzzle.digest)]
+            row = _row(play, segment, split, segment.segment_step // config.max_episode_steps)
+            keyframes = [
+                KeyframeAt(item.segment_step, item.segment_step - segment.segment_step, item.integration_state)
+                for item in segment.keyframes
+            ]
+            yield Episode(numbers(segment, parts), row, keyframes, images=segment.images)
+
+
+def _row(play: Play, segment: "Segment", split: Split, piece: int) -> dict[str, Any]:
+    return {
+        "stream": play.stream,
+        "explorer": play.explorer,
+        "segment": segment.index,
+        "piece": piece,
+        "world": segment.world,
+        "puzzle": segment.puzzle.digest,
+        "first_step": segment.first_step,
+        "steps": len(segment.actions),
+        "continued": segment.continued or segment.segment_step > 0,
+        "ended": segment.ended or LENGTH_CAP,
+        "split": split,
+    }
+
+
+def episodes_of_release(release: Release, numbers: Iterable[int]) -> Iterator[Episode]:
+    """Episodes of a release by their numbers, as they are: PNG files are not decoded, video is.
+
+    Args:
+        release: an opened release.
+        numbers: of the episodes, in the order in which they are wanted; ascending is fastest.
+    """
+    described = release.info["features"]
+    keyframes = release.table("keyframes").groupby("episode_index")
+    rows = _Rows(release)
+    for number in numbers:
+        row = release.episodes.iloc[number]
+        first, stop = int(row["dataset_from_index"]), int(row["dataset_to_index"])
+        table = rows.between((int(row["data/chunk_index"]), int(row["data/file_index"])), first, stop)
+        names = [name for name in content_features(described) if name != IMAGE]
+        values = {name: _values(table.column(name), described[name]) for name in names}
+        if described[IMAGE]["dtype"] == "image":
+            pngs, images = table.column(IMAGE).combine_chunks().field("bytes").to_pylist(), None
+        else:
+            pngs, images = None, release.images(np.arange(first, stop))
+        group = keyframes.get_group(number) if number in keyframes.groups else None
+        states = [
+            KeyframeAt(item["segment_step"], item["frame_index"], item["integration_state"])
+            for _, item in (() if group is None else group.iterrows())
+        ]
+        plain = {name: getattr(row[name], "item", lambda value=row[name]: value)() for name, _ in EPISODE_ROW}
+        yield Episode(values, plain, states, images=images, pngs=pngs)
+
+
+def _values(column: "pa.ChunkedArray", feature: Mapping[str, Any]) -> np.ndarray:
+    array = column.combine_chunks()
+    if feature["shape"] == [1]:
+        return array.to_numpy(zero_copy_only=False)
+    return array.flatten().to_numpy().reshape(-1, *feature["shape"])
+
+
+class _Rows:
+    """Rows of data files; keeps the row groups read last, since neighbouring episodes are asked for together."""
+
+    def __init__(self, release: Release) -> None:
+        self._root, self._schema = release.root, schema(release.info["features"])
+        self._first: dict[tuple[int, int], int] = {}
+        """First frame of each data file."""
+        places = ("data/chunk_index", "data/file_index", "dataset_from_index")
+        for chunk, file, first in zip(*(release.episodes[name].tolist() for name in places), strict=True):
+            self._first.setdefault((chunk, file), first)
+        self._starts: tuple[Path, np.ndarray] | None = None
+        self._read: tuple[tuple[Path, int, int], pa.Table] | None = None
+
+    def between(self, file: tuple[int, int], first: int, stop: int) -> "pa.Table":
+        """Frames `first` to `stop` of the release, all of them in the data file with these numbers."""
+        path = self._root / data_path(*file)
+        starts = self._group_starts(path) + self._first[file]
+        low = int(np.searchsorted(starts, first, side="right")) - 1
+        key = (path, low, int(np.searchsorted(starts, stop, side="left")))
+        if self._read is None or self._read[0] != key:
+            self._read = (key, parquet.read(path, self._schema, groups=range(*key[1:])))
+        return self._read[1].slice(first - int(starts[low]), stop - first)
+
+    def _group_starts(self, path: Path) -> np.ndarray:
+        """Number, within the file, of the first row of each row group."""
+        if self._starts is None or self._starts[0] != path:
+            found = parquet.metadata(path)
+            rows = [found.row_group(group).num_rows for group in range(found.num_row_groups)]
+            self._starts = (path, np.cumsum([0, *rows[:-1]]))
+        return self._starts[1]

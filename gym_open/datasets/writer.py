@@ -1,0 +1,175 @@
+"""Episodes become the files of a release.
+
+Threads prepare episodes (code pictures, hash, count), a few at a time; they are written in the order in which they were
+added, so that the number of threads changes no byte. When a data file is full, it is kept for good: a writer that is
+given the same unfinished folder again takes the episodes in it for written.
+"""
+
+import shutil
+from collections import deque
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import chain
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from gym_open.artefacts import SCRATCH
+from gym_open.datasets.config import Header
+from gym_open.datasets.lerobot_files import write_table
+from gym_open.datasets.meta import write_meta
+from gym_open.datasets.parts import join
+from gym_open.datasets.sources import Episode, Share
+from gym_open.datasets.tables import segments_of_episodes
+from gym_open.datasets.tracks import CONTENT, Place, Prepared, Track, prepare
+from gym_open.errors import ArtefactError
+from gym_open.formats.pictures import workers as processors
+from gym_open.formats.releases import Release
+from gym_open.formats.releases.features import Features
+from gym_open.formats.releases.layout import (
+    DATA_PATHS,
+    EPISODES_PATHS,
+    SPLITS,
+    TABLES,
+    VIDEO_PATHS,
+    Split,
+    Table,
+    episodes_path,
+    table_path,
+)
+from gym_open.formats.releases.schemas import EPISODE_ROW, episodes_schema, table_schema
+
+
+class ReleaseWriter:
+    """Writes one batch of episodes, and the records of the release that it makes with the batches before it.
+
+    with ReleaseWriter(folder, header, described, shares, ours=…, data_file_mb=100) as writer:
+        for episode in episodes:
+            writer.add(episode)
+        facts = writer.close(tables)
+    """
+
+    def __init__(
+        self, folder: Path, header: Header, described: Features, shares: Mapping[Split, Share], *,
+        ours: Mapping[str, Any], data_file_mb: int, after: Release | None = None, workers: int | None = None,
+    ) -> None:  # fmt: skip
+        """Begin, or go on: what is in `folder` and is not the work of an earlier writer like this one is removed.
+
+        Args:
+            folder: of the unfinished artefact.
+            header: name, version, licence, date of the release.
+            described: `features.features` of it.
+            shares: how many episodes and frames each split will get; frames are numbered by it.
+            ours: `split_by`, `val`, `max_episode_steps` and `pictures`, for `info.json`.
+            data_file_mb: a new data file is begun at this size in memory, in MiB.
+            after: release of the same features whose files are taken over, byte for byte, before this batch.
+            workers: threads; all processors if not given.
+        """
+        self._folder, self._header, self._described, self._ours = folder, header, described, ours
+        self._mb, self._after = data_file_mb, after
+        self._batch = after.info["gym_open"]["batches"] if after else 0
+        first = Share(after.info["total_episodes"], after.info["total_frames"]) if after else Share()
+        chunk = int(after.episodes["data/chunk_index"].max()) + 1 if after else 0
+        self._tracks: dict[Split, Track] = {}
+        for split in SPLITS:
+            share = shares.get(split, Share())
+            if share.episodes:
+                place = Place(split, share, first, chunk, self._batch)
+                self._tracks[split] = Track(folder, place, described, data_file_mb * 2**20)
+                first, chunk = first.plus(*share), chunk + 1
+        self._tidy()
+        threads = workers or processors()
+        self._pool = ThreadPoolExecutor(threads)
+        self._ahead = threads + 1
+        self._waiting: deque[Future[Prepared]] = deque()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._pool.shutdown(cancel_futures=True)
+
+    def skip(self, shares: Mapping[Split, Share]) -> bool:
+        """Take the next episodes, so many of each split, for added if all of them were written before a kill."""
+        tracks = [(self._tracks[split], share) for split, share in shares.items() if share.episodes]
+        if any(track.kept < track.added + share.episodes for track, share in tracks):
+            return False
+        for track, share in tracks:
+            track.added += share.episodes
+        return True
+
+    def add(self, episode: Episode) -> None:
+        """Add an episode: the next one of its split."""
+        track = self._tracks[episode.row["split"]]
+        track.added += 1
+        if track.added <= track.kept:
+            return
+        self._waiting.append(self._pool.submit(prepare, episode))
+        while len(self._waiting) > self._ahead:
+            self._write_next()
+
+    def close(self, tables: Mapping[Table, pa.Table]) -> dict[str, Any]:
+        """Finish the data files, then write everything under `meta/`.
+
+        Args:
+            tables: `streams`, `worlds` and `switches` of this batch; the others follow from its episodes.
+
+        Returns:
+            Facts: frames, episodes, steps, and the content digest of the release.
+
+        Raises:
+            ArtefactError: if there are not as many episodes and frames as was said, or none.
+        """
+        while self._waiting:
+            self._write_next()
+        for track in self._tracks.values():
+            track.close()
+        if not self._tracks:
+            raise ArtefactError(f"{self._header.name}: no episode to make a release of; collect some steps first")
+        self._take_over()
+        self._join_parts()
+        for name, table in tables.items():
+            write_table(table, self._folder / table_path(name, self._batch))
+        rows = pq.read_table(self._folder / episodes_path(self._batch), columns=[name for name, _ in EPISODE_ROW])
+        write_table(segments_of_episodes(rows), self._folder / table_path("segments", self._batch))
+        return write_meta(self._folder, self._described, self._header, self._ours, self._mb)
+
+    def _write_next(self) -> None:
+        made = self._waiting.popleft().result()
+        self._tracks[made.episode.row["split"]].write(made)
+
+    def _tidy(self) -> None:
+        """Remove what an interrupted writer left and cannot be gone on from."""
+        kept = {name for track in self._tracks.values() for name in track.files}
+        for path in sorted(self._folder.rglob("*"), reverse=True):
+            name = path.relative_to(self._folder).as_posix()
+            if name.split("/")[0] == SCRATCH or name in kept:
+                continue
+            if not path.is_dir():
+                path.unlink()
+            elif not any(path.iterdir()):
+                path.rmdir()
+
+    def _take_over(self) -> None:
+        if self._after is None:
+            return
+        patterns = (DATA_PATHS, VIDEO_PATHS, EPISODES_PATHS, *(f"meta/{name}/file-*.parquet" for name in TABLES))
+        for path in chain.from_iterable(self._after.root.glob(pattern) for pattern in patterns):
+            target = self._folder / path.relative_to(self._after.root)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(path, target)
+
+    def _join_parts(self) -> None:
+        parts = [part for track in self._tracks.values() for part in track.parts]
+        of_content = table_schema("content", self._described)
+        for name, out, columns in (
+            ("episodes", episodes_path(self._batch), episodes_schema(self._described)),
+            ("episodes", table_path("content", self._batch), of_content),
+            ("keyframes", table_path("keyframes", self._batch), table_schema("keyframes", self._described)),
+        ):
+            join([part.path(name) for part in parts], self._folder / out, columns, prefix=CONTENT)
