@@ -15,6 +15,7 @@ from gym_open.datasets.episode_diff import episode_meanings
 from gym_open.datasets.semver import RANK, Bump, Meaning, implied
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases import Release
+from gym_open.formats.releases.content import table_digest
 from gym_open.formats.releases.layout import (
     BOOKKEEPING,
     CHANGELOG,
@@ -99,11 +100,12 @@ def _forms(release: Release) -> dict[str, Any]:
 
 def _feature_meanings(a: Release, b: Release) -> Iterator[Meaning]:
     old, new = _forms(a), _forms(b)
-    for bump, what, names in (
+    found: list[tuple[Bump, str, list[str]]] = [
         ("major", "removed", sorted(old.keys() - new.keys())),
         ("major", "retyped", sorted(name for name in old.keys() & new.keys() if old[name] != new[name])),
         ("minor", "added", sorted(new.keys() - old.keys())),
-    ):
+    ]
+    for bump, what, names in found:
         if names:
             yield Meaning(bump, f"feature{'s' * (len(names) > 1)} {what}: {', '.join(names)}")
 
@@ -113,8 +115,8 @@ def _table_meanings(a: Release, b: Release) -> Iterator[Meaning]:
     for name in TABLES:
         if name == "content" or _table_digests(a, name) == _table_digests(b, name):
             continue  # the episodes' content is told feature by feature
-        old, new = a.table(name), b.table(name)
-        if sorted(old.columns) == sorted(new.columns) and old.equals(new[list(old.columns)].iloc[: len(old)]):
+        old, new = a.arrow_table(name), b.arrow_table(name)
+        if table_digest(new.slice(0, len(old))) == table_digest(old):
             if len(new) > len(old):
                 yield Meaning("minor", f"table {name}: {len(new) - len(old):,} rows added after the old ones")
         else:

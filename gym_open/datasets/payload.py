@@ -8,7 +8,7 @@ import msgspec
 
 from gym_open import artefacts
 from gym_open.artefacts import Entry
-from gym_open.errors import ArtefactError
+from gym_open.formats.releases.info import read_json
 from gym_open.formats.releases.layout import DIGESTS_PATH, RECORDS, SIGNATURE
 
 
@@ -26,11 +26,7 @@ def digests(root: Path) -> Digests:
     Raises:
         ArtefactError: if they are missing or not readable.
     """
-    path = root / DIGESTS_PATH
-    try:
-        return msgspec.json.decode(path.read_bytes(), type=Digests)
-    except (OSError, msgspec.DecodeError, RecursionError) as error:
-        raise ArtefactError(f"{path}: not readable: {error}; build the release again") from None
+    return read_json(root / DIGESTS_PATH, Digests)
 
 
 def entries(root: Path) -> dict[str, Entry]:
@@ -39,14 +35,10 @@ def entries(root: Path) -> dict[str, Entry]:
     Raises:
         ArtefactError: if the manifest is not readable as one.
     """
-    manifest = root / artefacts.MANIFEST
-    if not manifest.exists():
-        return {path: _entry(root / path) for path in sorted(_payload_paths(root))}
-    try:
-        found = msgspec.json.decode(manifest.read_bytes(), type=dict[str, Entry])
-    except (OSError, msgspec.DecodeError, RecursionError) as error:
-        raise ArtefactError(f"{manifest}: not readable: {error}; build the release again") from None
-    return {path: entry for path, entry in sorted(found.items()) if path not in RECORDS}
+    if (root / artefacts.MANIFEST).exists():
+        found = artefacts.manifest(root)
+        return {path: found[path] for path in sorted(found) if path not in RECORDS}
+    return {path: _entry(root / path) for path in sorted(_payload_paths(root))}
 
 
 def total_bytes(found: Mapping[str, Entry]) -> int:

@@ -1,0 +1,42 @@
+"""CHANGELOG.md: what changed in this version, and below it what the previous release's own says."""
+
+from gym_open.datasets import payload
+from gym_open.datasets.config import Header
+from gym_open.datasets.diff import diff_releases
+from gym_open.datasets.papers.markdown import plain
+from gym_open.errors import ArtefactError
+from gym_open.formats.releases import Release
+from gym_open.formats.releases.layout import CHANGELOG
+from gym_open.terminal import printable
+
+_LONGEST = 2**20
+"""Bytes of a changelog that is taken over."""
+
+
+def changelog(header: Header, release: Release, previous: Release | None) -> str:
+    """Text of the changelog of `release`, whose other papers must be there already.
+
+    Raises:
+        ArtefactError: if the previous release, or its changelog, is not readable.
+    """
+    dated = f" ({header.published})" if header.published else ""
+    head = f"# Changelog of {header.name}\n\n## {header.version}{dated}\n\n"
+    content = f"Content digest `{payload.digests(release.root).release}`.\n"
+    if previous is None:
+        return f"{head}First release.\n\n{content}"
+    diff = diff_releases(previous, release)
+    lines = "".join(f"- {plain(item.text)}\n" for item in diff.meanings)
+    return f"{head}A {diff.bump} change since {previous.version}:\n\n{lines}\n{content}\n{_earlier(previous)}"
+
+
+def _earlier(previous: Release) -> str:
+    """The sections of the previous changelog, without its title."""
+    path = previous.root / CHANGELOG
+    try:
+        if path.stat().st_size > _LONGEST:
+            raise ArtefactError(f"{path}: larger than {_LONGEST:,} bytes; get that release anew")
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ArtefactError(f"{path}: not readable: {error}; get that release anew") from None
+    start = text.find("## ")
+    return printable(text[start:]) if start >= 0 else ""

@@ -1,0 +1,190 @@
+"""What a release holds, counted from its data: what its card, figures and changelog are written from.
+
+Numbers are read a data file at a time, a few columns of it; pictures are not read here.
+"""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+
+from gym_open.envs.constants import N_ACTIONS, WALL_X, WALL_Y
+from gym_open.formats.releases import Release, features, parquet
+from gym_open.formats.releases.layout import DATA_PATHS, PART, SPLITS
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+CELL_M = 0.05
+"""Edge of the squares in which the agent's places are counted."""
+X_EDGES = np.arange(-np.ceil(WALL_X / CELL_M), np.ceil(WALL_X / CELL_M) + 1) * CELL_M
+Y_EDGES = np.arange(-np.ceil(WALL_Y / CELL_M), np.ceil(WALL_Y / CELL_M) + 1) * CELL_M
+"""Edges of the squares in metres, from wall to wall."""
+LEARNING = ("reward.intrinsic", "world_model.loss", "policy.entropy", "policy.value")
+"""Features that are the explorer's own; parts of the reward come with them."""
+
+
+@dataclass(frozen=True)
+class Range:
+    """Where the finite values of a feature lie."""
+
+    finite: float
+    """Share of the actions at which there was one."""
+    low: float
+    median: float
+    mean: float
+    high: float
+
+
+@dataclass
+class Played:
+    """What one explorer did."""
+
+    explorer: str
+    episodes: int
+    frames: int
+    steps: int
+    streams: int
+    worlds: int
+    """Distinct layouts."""
+    lengths: np.ndarray
+    """Steps of each episode."""
+    ended: Counter[str]
+    actions: np.ndarray = field(default_factory=lambda: np.zeros(N_ACTIONS, dtype=np.int64))
+    """How often each was taken."""
+    touching: int = 0
+    """Steps in which the agent touched something."""
+    visits: np.ndarray = field(default_factory=lambda: np.zeros((len(Y_EDGES) - 1, len(X_EDGES) - 1), dtype=np.int64))
+    """Frames in each square (from −y to +y, from −x to +x)."""
+    ranges: dict[str, Range] = field(default_factory=dict)
+    """Of what the explorer thought of its steps, by feature."""
+
+
+@dataclass(frozen=True)
+class LogFacts:
+    """One log that went in: which configuration made which streams."""
+
+    number: int
+    """Place among the logs as they were given to the build that took it in."""
+    batch: int
+    """Number of that build: 0 for the first, 1 for the first append."""
+    explorer: str
+    config: Mapping[str, Any]
+    streams: int
+    steps: int
+
+
+@dataclass(frozen=True)
+class SplitFacts:
+    """What is in a split, and where its files are."""
+
+    episodes: int
+    frames: int
+    steps: int
+    worlds: int
+    chunks: tuple[int, ...]
+    """Folders of data files."""
+
+
+@dataclass(frozen=True)
+class Facts:
+    """All of it."""
+
+    release: Release
+    played: list[Played]
+    """By explorer, in order of their names."""
+    logs: list[LogFacts]
+    splits: dict[str, SplitFacts]
+    data_bytes: int
+
+    @property
+    def steps(self) -> int:
+        """Actions in all."""
+        return sum(one.steps for one in self.played)
+
+    @property
+    def ended(self) -> Counter[str]:
+        """Why episodes ended."""
+        return sum((one.ended for one in self.played), Counter[str]())
+
+
+def gather(release: Release) -> Facts:
+    """Count what is in a release, sealed or just before it is."""
+    episodes = release.episodes
+    names = sorted(episodes["explorer"].unique())
+    played = [_episodes_of(name, episodes[episodes["explorer"] == name]) for name in names]
+    owner = episodes["explorer"].map({name: i for i, name in enumerate(names)}).to_numpy()
+    _read_frames(release, played, owner)
+    splits = {name: _split(episodes[episodes["split"] == name]) for name in SPLITS}
+    size = sum(path.stat().st_size for folder in ("data", "videos") for path in (release.root / folder).rglob("*.*"))
+    return Facts(release, played, list(_logs(release)), splits, size)
+
+
+def _episodes_of(explorer: str, rows: "pd.DataFrame") -> Played:
+    return Played(
+        explorer=explorer,
+        episodes=len(rows),
+        frames=int(rows["length"].sum()),
+        steps=int(rows["steps"].sum()),
+        streams=rows["stream"].nunique(),
+        worlds=rows["puzzle"].nunique(),
+        lengths=rows["steps"].to_numpy(),
+        ended=Counter(rows["ended"]),
+    )
+
+
+def _split(rows: "pd.DataFrame") -> SplitFacts:
+    return SplitFacts(
+        episodes=len(rows),
+        frames=int(rows["length"].sum()),
+        steps=int(rows["steps"].sum()),
+        worlds=rows["puzzle"].nunique(),
+        chunks=tuple(sorted({int(chunk) for chunk in rows["data/chunk_index"]})),
+    )
+
+
+def _read_frames(release: Release, played: list[Played], owner: np.ndarray) -> None:
+    """Fill in what frames say; `owner` is the number in `played` of each episode's explorer."""
+    thought = [*LEARNING, *sorted(name for name in release.info["features"] if name.startswith(PART))]
+    columns = ["episode_index", "action.index", "contact.agent", "transition.valid", "observation.state", *thought]
+    schema = features.schema(release.info["features"])
+    values: list[dict[str, list[np.ndarray]]] = [{name: [] for name in thought} for _ in played]
+    for path in sorted(release.root.glob(DATA_PATHS)):
+        frames = parquet.read(path, schema, columns).combine_chunks()
+        column = {name: frames.column(name).to_numpy() for name in columns if name != "observation.state"}
+        places = frames.column("observation.state").combine_chunks().flatten().to_numpy().reshape(len(frames), -1)
+        explorer = owner[column["episode_index"]]
+        for number, one in enumerate(played):
+            own = explorer == number
+            x, y = places[own, :2].T
+            one.visits += np.histogram2d(y, x, bins=(Y_EDGES, X_EDGES))[0].astype(np.int64)
+            steps = own & column["transition.valid"]
+            one.actions += np.bincount(column["action.index"][steps], minlength=N_ACTIONS)
+            one.touching += int((column["contact.agent"][steps] > 0).sum())
+            for name in thought:
+                values[number][name].append(column[name][steps])
+    for one, found in zip(played, values, strict=True):
+        one.ranges = {name: _range(np.concatenate(parts)) for name, parts in found.items()}
+
+
+def _range(values: np.ndarray) -> Range:
+    finite = values[np.isfinite(values)].astype(np.float64)
+    if not finite.size:
+        return Range(0.0, np.nan, np.nan, np.nan, np.nan)
+    share = finite.size / values.size
+    return Range(share, finite.min(), float(np.median(finite)), finite.mean(), finite.max())
+
+
+def _logs(release: Release) -> Iterator[LogFacts]:
+    import pyarrow.parquet as pq
+
+    for batch, path in enumerate(sorted(release.root.glob("meta/streams/file-*.parquet"))):
+        streams: dict[tuple[int, str], list[dict[str, Any]]] = {}
+        for row in pq.read_table(path).to_pylist():
+            streams.setdefault((row["log"], row["config"]), []).append(row)
+        for (number, config), rows in streams.items():
+            steps = sum(row["steps"] for row in rows)
+            yield LogFacts(number, batch, rows[0]["explorer"], msgspec.json.decode(config), len(rows), steps)
