@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -24,6 +25,10 @@ class LogRecipe(Config, frozen=True):
     threshold: float = 0.25
     world_model: bool = True
     """Without one, its losses are NaN."""
+    explorer: dict[str, str] | None = None
+    """What the log's configuration says under `explorer`."""
+    reward_parts: tuple[str, ...] = ()
+    keyframe_every: int = 256
 
 
 def write_log(folder: Path, recipe: LogRecipe) -> dict[str, Any]:
@@ -35,7 +40,8 @@ def write_log(folder: Path, recipe: LogRecipe) -> dict[str, Any]:
 
     rng = np.random.default_rng(recipe.seed)
     puzzles = tuple(sample_puzzle("sandbox", rng) for _ in range(3))
-    config = {"curriculum": {"rule": "loss", "threshold": recipe.threshold}, "seed": recipe.seed}
+    config: dict[str, Any] = {"curriculum": {"rule": "loss", "threshold": recipe.threshold}, "seed": recipe.seed}
+    config |= {"explorer": recipe.explorer} if recipe.explorer else {}
 
     def picture() -> np.ndarray:
         return rng.integers(0, 256, (84, 84, 3), dtype=np.uint8)
@@ -46,7 +52,10 @@ def write_log(folder: Path, recipe: LogRecipe) -> dict[str, Any]:
         return drawn
 
     for stream, lengths in enumerate(recipe.lengths):
-        with LogWriter(folder, LogHead(stream, config, puzzles, {"code": "test"}, "<mujoco/>")) as log:
+        head = LogHead(
+            stream, config, puzzles, {"code": "test"}, "<mujoco/>", recipe.reward_parts, recipe.keyframe_every
+        )
+        with LogWriter(folder, head) as log:
             log.switch(Switch(0, -1, 0, "start", [np.inf] * 3))
             step = 0
             for index, length in enumerate(lengths):
@@ -55,13 +64,21 @@ def write_log(folder: Path, recipe: LogRecipe) -> dict[str, Any]:
                     index, step, world, puzzles[world], index >= 3, INVENTORY, state(), rng.normal(size=5), picture()
                 )
                 log.segment(start)
+                seen = (start.object_state, start.image)
                 for i in range(length):
+                    if i and i % recipe.keyframe_every == 0:
+                        moment = {"segment_step": i, "object_state": seen[0], "image": seen[1]}
+                        log.segment(msgspec.structs.replace(start, integration_state=rng.normal(size=5), **moment))
                     touch = Contact("agent", "heavy_0", (0.1, 0.2, 0.3), (1.0, 0.0, 0.0), 2.5)
                     contacts = (touch, Contact("light_0", "heavy_0", (0, 0, 0), (0, 0, 1), 1.0))[: step % 3]
                     r, loss, entropy, value = rng.uniform(0.1, 1, size=4).tolist()
                     loss = loss if recipe.world_model else np.nan
                     action = int(rng.integers(9))
-                    log.step(StepRecord(step, index, i, action, state(), contacts, r, loss, entropy, value, picture()))
+                    seen = (state(), picture())
+                    parts = tuple(float(step + number) for number in range(len(recipe.reward_parts)))
+                    log.step(
+                        StepRecord(step, index, i, action, seen[0], contacts, r, loss, entropy, value, seen[1], parts)
+                    )
                     step += 1
                 target = -1 if last else (index + 1) % 3
                 losses = [0.5, np.inf, 0.25] if recipe.world_model else [np.nan] * 3
@@ -73,8 +90,8 @@ def write_log(folder: Path, recipe: LogRecipe) -> dict[str, Any]:
 def make_log(tmp_path_factory: pytest.TempPathFactory) -> MakeLog:
     """`make_log(lengths=((5, 7), (4,)), seed=0)` gives the folder of a fresh log artefact."""
 
-    def make(lengths: Lengths = ((5, 12, 3, 4), (6,)), seed: int = 0, *, world_model: bool = True) -> Path:
-        recipe = LogRecipe(lengths=lengths, seed=seed, world_model=world_model)
+    def make(lengths: Lengths = ((5, 12, 3, 4), (6,)), seed: int = 0, **more: Any) -> Path:
+        recipe = LogRecipe(lengths=lengths, seed=seed, **more)
 
         def work(folder: Path) -> Mapping[str, Any]:
             return write_log(folder, recipe)

@@ -145,7 +145,7 @@ def test_a_played_log_can_be_looked_at(scores: Path, tmp_path: Path) -> None:
 def test_no_release_is_made_of_a_played_log(scores: Path, tmp_path: Path) -> None:
     """Neither of the scores, nor of a log artefact that somebody put the file into."""
     with pytest.raises(ArtefactError, match="expected an artefact of kind 'log', got 'scores'"):
-        build_release(ReleaseConfig(), scores, tmp_path / "release")
+        build_release(ReleaseConfig(), [scores], tmp_path / "release")
 
     def smuggle(folder: Path) -> dict[str, Any]:
         shutil.copy(scores / LOG, folder)
@@ -153,7 +153,7 @@ def test_no_release_is_made_of_a_played_log(scores: Path, tmp_path: Path) -> Non
 
     log = artefacts.build(tmp_path / "log", kind="log", config=Config(), parents=[], work=smuggle).path
     with pytest.raises(ArtefactError, match=r"stream-000-000.mcap: holds puzzles of goal-seeking"):
-        build_release(ReleaseConfig(), log, tmp_path / "release")
+        build_release(ReleaseConfig(), [log], tmp_path / "release")
     assert not (tmp_path / "release").exists()
 
 

@@ -25,7 +25,7 @@ def _one_thread() -> None:
 def release(make_log: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """36 frames in three worlds, one of them in split `val`."""
     config = ReleaseConfig(val_fraction=0.34)
-    return build_release(config, make_log(lengths=((9, 12, 6, 4),), seed=1), tmp_path_factory.mktemp("r") / "r").path
+    return build_release(config, [make_log(lengths=((9, 12, 6, 4),), seed=1)], tmp_path_factory.mktemp("r") / "r").path
 
 
 @pytest.fixture

@@ -92,7 +92,7 @@ def test_no_validation_split_leaves_null(make_log: Callable[..., Path], tmp_path
     from gym_open.datasets.build import build_release
     from gym_open.datasets.config import ReleaseConfig
 
-    made = build_release(ReleaseConfig(val_fraction=0.0), make_log(lengths=((9,),)), tmp_path / "r")
+    made = build_release(ReleaseConfig(val_fraction=0.0), [make_log(lengths=((9,),))], tmp_path / "r")
     rows = curve(train_encoder(TINY, made.path, tmp_path / "e").path)
     assert all(row[3] is None and row[4] is None for row in rows)
 

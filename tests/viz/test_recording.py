@@ -74,7 +74,7 @@ def recording(request: pytest.FixtureRequest, log: Path, tmp_path_factory: pytes
     source = {
         "log": lambda: log,
         "file": lambda: log_files(log)[0][0],
-        "release": lambda: build_release(ReleaseConfig(max_episode_steps=5), log, folder / "release").path,
+        "release": lambda: build_release(ReleaseConfig(max_episode_steps=5), [log], folder / "release").path,
     }[request.param]()
     return Recording(visualize(VizConfig(), source, folder / "play.rrd"))
 

@@ -109,7 +109,6 @@ def _kind(kind: "pa.DataType") -> str:
 def _add(total: _Hash, array: "pa.Array") -> None:
     """Values of a column, null or not, of numbers, text, lists and structures."""
     import pyarrow as pa
-    import pyarrow.compute as pc
 
     if array.null_count:
         total.update(np.packbits(array.is_valid().to_numpy(zero_copy_only=False)).data)
@@ -118,18 +117,15 @@ def _add(total: _Hash, array: "pa.Array") -> None:
         for i in range(kind.num_fields):
             _add(total, array.field(i))
     elif pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind):
-        _add_lengths(total, pc.list_value_length(array))
+        total.update(array.value_lengths().fill_null(0).to_numpy(zero_copy_only=False).astype("<i8").data)
         _add(total, array.flatten())
     elif str(kind).removeprefix("large_") in {"string", "binary"}:
-        _add_lengths(total, pc.binary_length(array))
-        total.update(b"".join(value.as_buffer() for value in array if value.is_valid))
+        texts = [value.as_buffer().to_pybytes() if value.is_valid else b"" for value in array]
+        total.update(np.array([len(text) for text in texts], dtype="<i8").data)
+        total.update(b"".join(texts))
     elif pa.types.is_primitive(kind):
         zero = False if pa.types.is_boolean(kind) else 0
         values = array.fill_null(zero).to_numpy(zero_copy_only=False)
         total.update(np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<")).data)
     else:
         raise TypeError(f"columns of type {kind} do not occur in a release")
-
-
-def _add_lengths(total: _Hash, lengths: "pa.Array") -> None:
-    total.update(lengths.fill_null(0).to_numpy(zero_copy_only=False).astype("<i8").data)
