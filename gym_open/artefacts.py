@@ -309,7 +309,10 @@ def build(
             _verify_own(out)
             return Outcome(path=out, made=False)
         if not replace:
-            raise UsageError(f"{out}: is there already, made of other inputs or by other code; give another --out")
+            raise UsageError(
+                f"{out}: is there already, made of other inputs or by other code, and is never changed; give another "
+                "--out, or of a release a higher --version"
+            )
     partial = out.parent / f".{out.name}.partial"
     partial.parent.mkdir(parents=True, exist_ok=True)
     with _lock(out):

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import textwrap
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,9 @@ from gym_open import artefacts
 from gym_open.datasets import Release, open_release
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
-from gym_open.errors import ArtefactError
+from gym_open.datasets.sources import Episode
+from gym_open.datasets.tracks import Prepared, prepare
+from gym_open.errors import ArtefactError, UsageError
 from gym_open.formats.logs.reader import log_files, open_logs
 from gym_open.formats.logs.schemas import Segment
 
@@ -32,7 +35,7 @@ def log(make_log: MakeLog) -> Path:
 
 @pytest.fixture(scope="module")
 def release(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Release:
-    return open_release(build_release(CONFIG, log, tmp_path_factory.mktemp("release") / "release").path)
+    return open_release(build_release(CONFIG, [log], tmp_path_factory.mktemp("release") / "release").path)
 
 
 def segments(log: Path) -> dict[tuple[int, int], Segment]:
@@ -76,7 +79,8 @@ def test_every_frame_is_the_logs(log: Path, release: Release) -> None:
 
 
 def test_episodes_say_how_they_begin_and_end(log: Path, release: Release) -> None:
-    states = release.table("segments").set_index(["stream", "segment"])["integration_state"]
+    keyframes = release.table("keyframes").set_index(["stream", "segment", "segment_step"])["integration_state"]
+    told = release.table("segments").set_index(["stream", "segment"])
     for key, segment in segments(log).items():
         rows = [row for row in episodes(release) if (row["stream"], row["segment"]) == key]
         assert sum(row["steps"] for row in rows) == len(segment.actions)
@@ -85,7 +89,9 @@ def test_episodes_say_how_they_begin_and_end(log: Path, release: Release) -> Non
         assert [row["continued"] for row in rows] == [segment.continued] + [True] * (len(rows) - 1)
         assert {row["puzzle"] for row in rows} == {segment.puzzle.digest}
         assert segment.integration_state is not None
-        assert np.array_equal(states[key], segment.integration_state)
+        assert np.array_equal(keyframes[*key, 0], segment.integration_state)
+        assert (told.loc[key, "steps"], told.loc[key, "ended"]) == (len(segment.actions), segment.ended)
+        assert (told.loc[key, "first_step"], told.loc[key, "continued"]) == (segment.first_step, segment.continued)
 
 
 def test_nothing_terminates_and_ends_are_truncated(release: Release) -> None:
@@ -188,32 +194,99 @@ def test_plain_lerobot_loads_it_offline(release: Release, tmp_path: Path) -> Non
     artefacts.verify(release.root, "release")  # LeRobot left nothing behind in it
 
 
-def test_same_logs_give_the_same_bytes_anywhere(
-    log: Path, release: Release, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("gym_open.datasets.build.workers", lambda: 5)
-    again = build_release(CONFIG, log, tmp_path / "deep" / "er" / "other")
+@pytest.mark.parametrize("workers", [1, 5])
+def test_same_logs_give_the_same_bytes_anywhere(workers: int, log: Path, release: Release, tmp_path: Path) -> None:
+    again = build_release(CONFIG, [log], tmp_path / "deep" / "er" / "other", workers=workers)
     assert again.made
     assert artefacts.digest(again.path) == release.digest
-    assert not build_release(CONFIG, log, again.path).made
+    assert not build_release(CONFIG, [log], again.path).made
     text = b"".join(path.read_bytes() for path in again.path.rglob("*") if path.is_file())
     assert str(tmp_path).encode() not in text
 
 
+def test_episodes_that_are_done_in_another_order_give_the_same_bytes(
+    log: Path, release: Release, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    order: list[int] = []
+
+    def slowest_first(episode: Episode) -> Prepared:
+        time.sleep(0.02 * (5 - len(order) % 6))
+        made = prepare(episode)
+        order.append(episode.row["first_step"])
+        return made
+
+    monkeypatch.setattr("gym_open.datasets.writer.prepare", slowest_first)
+    again = build_release(CONFIG, [log], tmp_path / "r", workers=4)
+    assert order != sorted(order)
+    assert artefacts.digest(again.path) == release.digest
+
+
 def test_data_files_roll_at_a_size(make_log: MakeLog, tmp_path: Path) -> None:
     log = make_log(lengths=((40, 35, 25),))  # 2.2 MB: noise does not compress
-    rolled = open_release(build_release(ReleaseConfig(data_file_mb=1, max_episode_steps=10), log, tmp_path / "r").path)
-    files = sorted(rolled.root.glob("data/chunk-000/file-*.parquet"))
-    assert len(files) > 1
-    for number, path in enumerate(files):
-        lengths = [row["length"] for row in episodes(rolled) if row["data/file_index"] == number]
-        assert len(pd.read_parquet(path, columns=["index"])) == sum(lengths)
+    config = ReleaseConfig(data_file_mb=1, max_episode_steps=10)
+    rolled = open_release(build_release(config, [log], tmp_path / "r").path)
+    files = sorted(rolled.root.glob("data/chunk-*/file-*.parquet"))
+    assert [path.parent.name[-1] + path.stem[-1] for path in files] == ["00", "01", "10"]
+    for path in files:
+        chunk, file = int(path.parent.name[-3:]), int(path.stem[-3:])
+        rows = [row for row in episodes(rolled) if (row["data/chunk_index"], row["data/file_index"]) == (chunk, file)]
+        assert {row["split"] for row in rows} == {("train", "val")[chunk]}
+        numbers = pd.read_parquet(path, columns=["index", "episode_index"])
+        assert len(numbers) == sum(row["length"] for row in rows)
+        assert sorted(set(numbers["episode_index"])) == [row["episode_index"] for row in rows]
     assert rolled.column("index").tolist() == list(range(len(rolled)))
+
+
+def test_several_logs_are_one_release(make_log: MakeLog, tmp_path: Path) -> None:
+    curl = make_log(explorer={"world_model": "curl", "reward": "ride"}, reward_parts=("error", "novelty"))
+    plain = make_log(lengths=((7,),), seed=1, explorer={"world_model": "none", "reward": "none"})
+    release = open_release(build_release(CONFIG, [plain, curl], tmp_path / "r").path)
+    streams = release.table("streams")
+    assert streams["stream"].tolist() == [0, 1, 2]
+    assert streams["log"].tolist() == [0, 1, 1]
+    assert streams["log_stream"].tolist() == [0, 0, 1]
+    assert streams["explorer"].tolist() == ["random", "curl+ride", "curl+ride"]
+    assert streams["seed"].tolist() == ["1", "0", "0"]
+    assert streams["steps"].tolist() == [7, 24, 6]
+    assert {row["explorer"] for row in episodes(release) if row["stream"] == 0} == {"random"}
+    novelty, valid = release.column("reward_part.novelty"), release.column("transition.valid")
+    for row in episodes(release):
+        frames = np.arange(row["dataset_from_index"], row["dataset_to_index"])
+        steps = np.arange(row["first_step"], row["first_step"] + row["steps"])
+        expected = steps + 1.0 if row["stream"] else np.full(len(steps), np.nan)
+        assert np.array_equal(novelty[frames][valid[frames]], expected.astype(np.float32), equal_nan=True)
+        assert np.isnan(novelty[frames[-1]])
+
+
+def test_every_keyframe_of_the_log_is_in_one_episode(make_log: MakeLog, tmp_path: Path) -> None:
+    log = make_log(lengths=((12, 5, 8),), keyframe_every=4)
+    release = open_release(build_release(ReleaseConfig(max_episode_steps=6), [log], tmp_path / "r").path)
+    table = release.table("keyframes")
+    expected = {(s.index, k.segment_step): k.integration_state for s in segments(log).values() for k in s.keyframes}
+    assert len(table) == len(expected) == 3 + 2 + 2
+    for row in table.to_dict("records"):
+        assert np.array_equal(row["integration_state"], expected[row["segment"], row["segment_step"]])
+        episode = episodes(release)[row["episode_index"]]
+        assert (episode["stream"], episode["segment"]) == (row["stream"], row["segment"])
+        assert episode["piece"] * 6 + row["frame_index"] == row["segment_step"]
+        assert 0 <= row["frame_index"] < max(1, episode["steps"])
+
+
+def test_a_version_is_never_changed(log: Path, make_log: MakeLog, tmp_path: Path) -> None:
+    out = build_release(CONFIG, [log], tmp_path / "1.0.0").path
+    before = artefacts.digest(out)
+    other = make_log(lengths=((3,),))
+    with pytest.raises(UsageError, match="higher --version"):
+        build_release(CONFIG, [other], out)
+    assert artefacts.digest(out) == before
+    replaced = build_release(CONFIG, [other], out, replace=True)
+    assert replaced.earlier is not None
+    assert artefacts.digest(replaced.earlier) == before
 
 
 def test_without_a_world_model_its_loss_is_no_number_and_left_out(make_log: MakeLog, tmp_path: Path) -> None:
     log = make_log(lengths=((4, 7),), world_model=False)
-    random = open_release(build_release(CONFIG, log, tmp_path / "r").path)
+    random = open_release(build_release(CONFIG, [log], tmp_path / "r").path)
     assert np.isnan(random.column("world_model.loss")).all()
     stats = json.loads((random.root / "meta/stats.json").read_text())
     assert stats["world_model.loss"] == {"min": [0], "max": [0], "mean": [0], "std": [0], "count": [0]}
@@ -228,21 +301,5 @@ def test_a_cut_log_leaves_no_release(make_log: MakeLog, tmp_path: Path) -> None:
     for at in np.random.default_rng(0).integers(0, len(data), size=10):
         file.write_bytes(data[:at])
         with pytest.raises(ArtefactError, match=r"stream-000-000\.mcap"):
-            build_release(CONFIG, log, tmp_path / "release")
+            build_release(CONFIG, [log], tmp_path / "release")
         assert list(tmp_path.iterdir()) == []
-
-
-def test_an_interrupted_build_begins_again(log: Path, release: Release, tmp_path: Path) -> None:
-    class KilledError(Exception):
-        pass
-
-    def killed(*_: object) -> None:
-        raise KilledError
-
-    out = tmp_path / "release"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gym_open.datasets.build.write_tables", killed)
-        with pytest.raises(KilledError):
-            build_release(CONFIG, log, out)
-    assert not out.exists()
-    assert artefacts.digest(build_release(CONFIG, log, out).path) == release.digest
