@@ -122,9 +122,9 @@ def _learn_without_task(plan: Plan, root: Path, seed: int, journal: Journal) -> 
     from gym_open.train.encoder import train_encoder
 
     log = journal.stage("collect", lambda: collect(plan.collect, root / f"collect/logs/curl-ride-seed{seed}"))
-    release = journal.stage(
-        "dataset build", lambda: build_release(plan.release, [log], root / f"datasets/open/explore-seed{seed}")
-    )
+    named = msgspec.structs.replace(plan.release, name=f"{plan.release.name}-seed{seed}")
+    folder = root / "datasets" / named.name / named.version
+    release = journal.stage("dataset build", lambda: build_release(named, [log], folder, replace=True))
     encoder = journal.stage(
         "train encoder", lambda: train_encoder(plan.encoder, release, root / f"train/encoders/curl-seed{seed}")
     )

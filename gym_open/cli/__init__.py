@@ -50,6 +50,9 @@ COMMANDS: dict[str, type[Command]] = {
     "serve": world.Serve,
 }
 
+_FLAGS = (tyro.conf.FlagCreatePairsOff,)
+"""No `--no-…` beside each option that is on or off."""
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one sub-command and return the exit code: 0 done, 1 the run or the check failed, 2 wrong use."""
@@ -86,7 +89,7 @@ def _parse(name: str, words: list[str]) -> Command:
     kind = COMMANDS[name]
     program = f"gym-open {name}"
     if not issubclass(kind, stages.StageCommand):
-        return tyro.cli(kind, args=words, prog=program)
+        return tyro.cli(kind, args=words, prog=program, config=_FLAGS)
     root = Path(_value(words, "--workspace") or ".")
     file = Path(_value(words, "--config") or root / kind.default)
     settings_type = get_type_hints(kind)["settings"]
@@ -94,7 +97,7 @@ def _parse(name: str, words: list[str]) -> Command:
     settings = settings_type() if asks_help and not file.is_file() else load(file, settings_type)
     given: dict[str, Any] = {"settings": settings, "workspace": root, "config": file}
     required = {f.name: tyro.MISSING for f in fields(kind) if f.default is MISSING and f.name not in given}
-    command = tyro.cli(kind, args=words, prog=program, default=kind(**given, **required))
+    command = tyro.cli(kind, args=words, prog=program, config=_FLAGS, default=kind(**given, **required))
     check(command.settings, source="options")
     return command
 

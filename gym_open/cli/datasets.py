@@ -13,6 +13,7 @@ from gym_open.cli.stages import Settings, StageCommand
 from gym_open.config import check
 from gym_open.datasets.config import FilterConfig, Header, License, MergeConfig, ReleaseConfig
 from gym_open.errors import GymOpenError, UsageError
+from gym_open.formats.releases.layout import Split
 from gym_open.summary import short, word
 
 Release = Annotated[Path, tyro.conf.Positional]
@@ -23,7 +24,7 @@ Release = Annotated[Path, tyro.conf.Positional]
 class DatasetBuild(StageCommand):
     """Turn logs into a versioned LeRobot v3.0 release, frames bit-exact.
 
-    The version must be the one that follows from what has changed since the last one; `gym-open dataset diff` says which.
+    The version must be the one that follows from what has changed since the last; `gym-open dataset diff` says which.
 
     Example: gym-open dataset build --logs collect/logs/curl-ride collect/logs/icm --version 1.0.0
     """
@@ -253,7 +254,7 @@ class DatasetFilter(_Derived):
     """Only episodes in which the agent touches something in at least this share of the steps."""
     min_coverage: float = 0.0
     """Only episodes in which the agent visits at least this share of the table's 5 cm cells."""
-    split: tuple[str, ...] = ()
+    split: tuple[Split, ...] = ()
     """Only episodes of these splits."""
 
     about = "some episodes of a release as another"

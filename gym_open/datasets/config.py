@@ -10,6 +10,7 @@ from gym_open.formats.releases.layout import Split
 Name = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9-]*/[a-z0-9][a-z0-9-]*$")]
 Version = Annotated[str, Meta(pattern=r"^(0|[1-9]\d{0,5})\.(0|[1-9]\d{0,5})\.(0|[1-9]\d{0,5})$")]
 Date = Annotated[str, Meta(pattern=r"^(\d{4}-(0[1-9]|1[0-2])-(0[1-9]|[12]\d|3[01]))?$")]
+License = Literal["mit", "cc-by-4.0", "cc0-1.0"]
 PuzzleDigest = Annotated[str, Meta(pattern=r"^[0-9a-f]{6,64}$")]
 
 
@@ -20,7 +21,7 @@ class Header(Config, frozen=True):
     """Namespace and name, as a hub would have it."""
     version: Version = "1.0.0"
     """Semantic version. Of two versions, the second must say what it did to the first."""
-    license: Literal["mit", "cc-by-4.0", "cc0-1.0"] = "mit"
+    license: License = "mit"
     """SPDX identifier of the licence, in small letters as on the hub."""
     published: Date = ""
     """Day of publication, YYYY-MM-DD, or nothing. No clock is ever read."""
