@@ -8,7 +8,7 @@ from gym_open.datasets.papers.card_text import BODY, FRONT, MEANINGS, SURPRISES,
 from gym_open.datasets.papers.facts import Facts, Range
 from gym_open.datasets.papers.markdown import plain, table
 from gym_open.formats.releases.features import ACTION_NAMES, fps
-from gym_open.formats.releases.layout import IMAGE, PART
+from gym_open.formats.releases.layout import PART
 
 _SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**7, "1M<n<10M"))
 """The hub's categories, by frames."""
@@ -30,7 +30,6 @@ def description(facts: Facts) -> str:
 def card(header: Header, facts: Facts) -> str:
     """Text of the card."""
     release, ours = facts.release, facts.release.info["gym_open"]
-    video = release.info["features"][IMAGE]["dtype"] == "video"
     front = FRONT.format(
         license=header.license,
         name=header.name,
@@ -50,10 +49,17 @@ def card(header: Header, facts: Facts) -> str:
         ranges=_ranges(facts),
         features=_features(release.info["features"]),
     )
-    surprises = SURPRISES.format(
-        cap=f"{ours['max_episode_steps']:,}", split_by=ours["split_by"], pictures=VIDEO if video else ""
-    )
+    surprises = SURPRISES.format(cap=f"{ours['max_episode_steps']:,}", split_by=ours["split_by"], pictures=_video(ours))
     return front + body + surprises
+
+
+def _video(ours: Mapping[str, Any]) -> str:
+    """How far pictures are from the logged ones, if they are video."""
+    if "video_error" not in ours:
+        return ""
+    error = ours["video_error"]
+    psnr = f", PSNR {error['psnr']:.1f} dB" if error["psnr"] is not None else ""
+    return VIDEO.format(mean=error["mean"], max=error["max"], psnr=psnr)
 
 
 def _split_files(facts: Facts) -> Iterator[str]:

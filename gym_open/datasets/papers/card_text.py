@@ -109,9 +109,9 @@ first_step, steps, continued, ended, split, and statistics of each feature. `met
 """
 
 VIDEO = """\
-- **Pictures are video** (H.264), which is smaller than PNG and not exact. Against what was seen, over all frames and
-  channels, levels of 255 are off by {mean} in the mean and by {worst} at most. Take a release of PNG pictures where
-  that matters.
+- **Pictures are video** (H.264), which is smaller than PNG and not exact. Against the logged ones, the levels of all
+  pixels and channels are off by {mean:.2f} of 255 in the mean and by {max:.0f} at most{psnr}. Take a release of PNG
+  pictures where that matters.
 """
 
 SURPRISES = """
@@ -137,17 +137,17 @@ SURPRISES = """
 MEANINGS = {
     "observation.image": "what the camera sees, RGB",
     "observation.state": "the agent: position (m), quaternion wxyz, linear (m/s) and angular velocity (rad/s)",
-    "observation.environment_state": "the same of every object of the model; unused ones stand parked at y = −30 m",
+    "observation.environment_state": "as `observation.state`, of every object; unused ones stand parked at y = −30 m",
     "action": "one-hot of nine moves",
-    "action.index": "its number; −1 on an episode's last frame",
+    "action.index": "number of the action; −1 on an episode's last frame",
     "reward.intrinsic": "the explorer's own reward",
     "reward_part": "what the intrinsic reward is made of; NaN for explorers without it",
-    "world_model.loss": "of the world model on the world being played in, before scaling; NaN without one",
+    "world_model.loss": "the world model's on the world being played in, as the curriculum scales it; or NaN",
     "policy.entropy": "nats, of the policy that chose the action",
     "policy.value": "what the policy's critic expected",
     "contact.count": "contacts in the step",
-    "contact.agent": "those of the agent",
-    "contact.impulse": "sum of their impulses (N s)",
+    "contact.agent": "contacts of the agent in the step",
+    "contact.impulse": "sum of the impulses of all contacts (N s)",
     "next.reward": "from outside: always 0",
     "next.done": "always False",
     "next.truncated": "nothing comes after in this episode",

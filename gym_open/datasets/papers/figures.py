@@ -29,7 +29,7 @@ _ARROWS = ("stay", "→", "↗", "↑", "↖", "←", "↙", "↓", "↘")
 """Actions as the camera sees them: north is away from it."""
 _SHOWN = 16
 """Explorers that a figure has room for."""
-_COLUMNS, _ZOOM, _GAP, _LABEL, _HEAD = 6, 2, 4, 150, 24
+_COLUMNS, _ZOOM, _GAP, _LABEL, _HEAD = 6, 2, 4, 110, 24
 """Contact sheet: pictures a row, size of a pixel, and margins in pixels."""
 
 
@@ -110,23 +110,24 @@ def _coverage(facts: Facts) -> "Figure":
     shown = facts.played[:_SHOWN]
     columns = min(len(shown), 4)
     rows = -(-len(shown) // columns)
-    figure = Figure(figsize=(max(2.6 * columns, 3.6) + 1, 4.4 * rows), dpi=100, layout="constrained")
+    figure = Figure(figsize=(max(2.4 * columns, 3.6) + 1, 3.9 * rows + 0.4), dpi=100, layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     shares = [one.visits / max(one.visits.sum(), 1) for one in shown]
-    top = max(share.max() for share in shares)
+    norm = LogNorm(min(share[share > 0].min() for share in shares) / 2, max(share.max() for share in shares))
     image = None
     for axes, one, share in zip(panels, shown, shares, strict=False):
         axes.set(title=_name(one.explorer), xlabel="x (m)", ylabel="y (m)")
         axes.patch.set(hatch="///", edgecolor="#BBBBBB")
         image = axes.imshow(
-            np.ma.masked_equal(share, 0), origin="lower", cmap="cividis", norm=LogNorm(min(1e-4, top / 10), top),
+            np.ma.masked_equal(share, 0), origin="lower", cmap="cividis", norm=norm,
             extent=(X_EDGES[0], X_EDGES[-1], Y_EDGES[0], Y_EDGES[-1]),
         )  # fmt: skip
     for axes in panels[len(shown) :]:
         axes.set_visible(False)
     assert image is not None
-    figure.colorbar(image, ax=list(panels), label="share of the frames, a 5 cm square (hatched: never)", shrink=0.8)
-    figure.suptitle("Where the agent was, seen from above; the camera looks from below")
+    bar = figure.colorbar(image, ax=list(panels), label="share of the frames (hatched: never there)")
+    bar.ax.yaxis.set_major_formatter(lambda value, _: f"{value:.3%}".rstrip("0%").rstrip(".") + "%")
+    figure.suptitle("Where the agent was, in squares of 5 cm, seen from above; the camera stands at the bottom left")
     return figure
 
 
@@ -141,12 +142,12 @@ def _actions(facts: Facts) -> "Figure":
     from matplotlib.figure import Figure
 
     shown = facts.played[:_SHOWN]
-    figure = Figure(figsize=(11, 1.6 + 0.5 * len(shown)), dpi=100, layout="constrained")
+    figure = Figure(figsize=(11.5, 1.6 + 0.5 * len(shown)), dpi=100, layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(2.2, 1))
     shares = np.array([one.actions / max(one.actions.sum(), 1) for one in shown])
     left.imshow(shares, cmap="cividis", aspect="auto", vmin=0)
     for (row, column), share in np.ndenumerate(shares):
-        dark = share < 0.6 * shares.max()
+        dark = share < 0.45 * shares.max()
         left.text(column, row, f"{share:.0%}", ha="center", va="center", color="white" if dark else "black", fontsize=9)
     left.set(title="Actions taken: share of the steps")
     left.set_xticks(range(len(_ARROWS)), _ARROWS)
@@ -154,9 +155,9 @@ def _actions(facts: Facts) -> "Figure":
     _rows(left, shown)
     bars = right.barh(range(len(shown)), [one.touching / max(one.steps, 1) for one in shown], color=BLUE)
     right.bar_label(bars, [f"{one.touching / max(one.steps, 1):.1%}" for one in shown], padding=3, fontsize=9)
-    right.set(title="Agent touches something: share of the steps")
-    right.xaxis.set_major_formatter(lambda value, _: f"{value:.3g}" if value < 0.01 else f"{value:.0%}")
-    right.margins(x=0.15)
+    right.set(title="Steps with a contact of the agent")
+    right.xaxis.set_major_formatter(lambda value, _: f"{value:.3g}" if 0 < value < 0.01 else f"{value:.0%}")
+    right.margins(x=0.18)
     _rows(right, shown)
     return figure
 
@@ -183,10 +184,11 @@ def _episodes(facts: Facts) -> "Figure":
         [one.lengths for one in shown], positions=range(len(shown)), orientation="horizontal", widths=0.5,
         whis=(0, 100), medianprops={"color": BLUE, "linewidth": 2.5}, manage_ticks=False,
     )  # fmt: skip
-    right.set(title="Steps of an episode: all, half, median", xlabel="steps")
-    right.set_xscale("log")
+    right.set(
+        title="Steps of an episode: range, middle half, median",
+        xlim=(0, 1.05 * max(one.lengths.max() for one in shown)),
+    )
     right.xaxis.set_major_formatter("{x:,.0f}")
-    right.xaxis.set_minor_formatter("")
     right.grid(axis="x", alpha=0.25, linewidth=0.6)
     for axes in (left, right):
         _rows(axes, shown)
