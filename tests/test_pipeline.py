@@ -26,7 +26,7 @@ TINY = {
     "train/probe.toml": "train_worlds = 60\nvalidation_worlds = 20\ntest_worlds = 30\npixels = false\nthreads = 1\n",
     "evaluate/goal-seeking.toml": "threads = 1\n",
 }
-RELEASE, SCORES = "datasets/open/explore-seed0", "evaluate/scores"
+RELEASE, SCORES = "datasets/open/explore-seed0/1.0.0", "evaluate/scores"
 
 
 def _workspace(root: Path) -> Path:

@@ -76,7 +76,7 @@ class Collect(StageCommand):
 class TrainEncoder(StageCommand):
     """Learn an encoder from a release, off-line.
 
-    Example: gym-open train encoder --release datasets/open/explore --updates 200
+    Example: gym-open train encoder --release datasets/open/explore/1.0.0 --updates 200
     """
 
     settings: Settings[EncoderTrainConfig]
