@@ -6,17 +6,15 @@ from typing import Any, Literal
 
 from gym_open import artefacts, progress
 from gym_open.config import to_dict
-from gym_open.datasets.card import card
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.datasets.sources import Play, episodes_of_logs, plays_of, shares_of, units_of
 from gym_open.datasets.splits import Unit, assign, unit_of
 from gym_open.datasets.tables import tables_of_logs
 from gym_open.datasets.versions import latest_below
-from gym_open.datasets.writer import ReleaseWriter
+from gym_open.datasets.writer import ReleaseWriter, complete
 from gym_open.errors import ArtefactError, UsageError
 from gym_open.formats.releases import Release, open_release
 from gym_open.formats.releases.features import Features, features, objects
-from gym_open.formats.releases.info import read_info
 from gym_open.formats.releases.layout import PART, Split
 
 
@@ -55,15 +53,14 @@ def build_release(
         raise UsageError(f"{out}: nothing to append to: no version below {config.version} beside it; give --previous")
     sealed = AppendConfig(**to_dict(config)) if append else config
 
+    parents = [*logs, *([previous] if previous else [])]
+
     def work(folder: Path) -> Mapping[str, Any]:
         before = open_release(previous) if previous else None
         facts = _write(config, logs, folder, before if append else None, workers)
-        release = Release(folder, "", read_info(folder))
-        rows = [{str(key): value for key, value in row.items()} for row in release.episodes.to_dict("records")]
-        (folder / "README.md").write_text(card(config, facts, rows, release.info["features"]), encoding="utf-8")
+        complete(folder, sealed, "append" if append else "build", before, parents)
         return facts
 
-    parents = [*logs, *([previous] if previous else [])]
     return artefacts.build(out, kind="release", config=sealed, parents=parents, work=work, replace=replace)
 
 

@@ -7,7 +7,7 @@ given the same unfinished folder again takes the episodes in it for written.
 
 import shutil
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import chain
 from pathlib import Path
@@ -21,14 +21,17 @@ from gym_open.artefacts import SCRATCH
 from gym_open.datasets.config import Header
 from gym_open.datasets.lerobot_files import write_table
 from gym_open.datasets.meta import write_meta
+from gym_open.datasets.papers import Command, write_papers, write_provenance
 from gym_open.datasets.parts import join
 from gym_open.datasets.sources import Episode, Share
 from gym_open.datasets.tables import segments_of_episodes
 from gym_open.datasets.tracks import CONTENT, Place, Prepared, Track, prepare
+from gym_open.datasets.versions import check
 from gym_open.errors import ArtefactError
 from gym_open.formats.pictures import workers as processors
 from gym_open.formats.releases import Release
 from gym_open.formats.releases.features import Features
+from gym_open.formats.releases.info import read_info
 from gym_open.formats.releases.layout import (
     DATA_PATHS,
     EPISODES_PATHS,
@@ -173,3 +176,23 @@ class ReleaseWriter:
             ("keyframes", table_path("keyframes", self._batch), table_schema("keyframes", self._described)),
         ):
             join([part.path(name) for part in parts], self._folder / out, columns, prefix=CONTENT)
+
+
+def complete(folder: Path, config: Header, command: Command, previous: Release | None, parents: Sequence[Path]) -> None:
+    """Add to the data and tables in `folder` the papers of a release, after holding its version against `previous`.
+
+    Args:
+        folder: of the unfinished artefact, after `ReleaseWriter.close`.
+        config: all that decides the release.
+        command: what makes it.
+        previous: the version before it, if there is one.
+        parents: artefacts that it is made of, `previous` last.
+
+    Raises:
+        ArtefactError: if the version says other than what was changed.
+    """
+    release = Release(folder, "", read_info(folder))
+    write_papers(release, config, command=command, previous=previous, parents=parents)
+    if previous:
+        check(previous, release)
+    write_provenance(folder, config, parents, command)
