@@ -32,7 +32,7 @@ def log(make_log: Callable[..., Path]) -> Path:
 
 @pytest.fixture(scope="module")
 def release(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Release:
-    return open_release(build_release(CONFIG, log, tmp_path_factory.mktemp("r") / "release").path)
+    return open_release(build_release(CONFIG, [log], tmp_path_factory.mktemp("r") / "release").path)
 
 
 @pytest.fixture(scope="module")
@@ -172,7 +172,7 @@ def test_another_release_at_the_same_path_never_gets_the_old_pictures(
     shutil.copytree(release.root, root)
     Pictures(open_release(root), cache=cache)
     shutil.rmtree(root)
-    other = build_release(CONFIG, make_log(lengths=((9, 12, 3), (6, 7)), seed=12), root).path
+    other = build_release(CONFIG, [make_log(lengths=((9, 12, 3), (6, 7)), seed=12)], root).path
     found = Pictures(open_release(other), cache=cache)
     assert np.array_equal(found.take(np.arange(9)), open_release(other).images(range(9)))
 
@@ -183,7 +183,7 @@ def test_a_release_that_changes_under_an_open_one_is_refused(
     root = Path(shutil.copytree(release.root, tmp_path / "release"))
     opened = open_release(root)
     shutil.rmtree(root)
-    build_release(CONFIG, make_log(lengths=((9, 12, 3),), seed=12), root)
+    build_release(CONFIG, [make_log(lengths=((9, 12, 3),), seed=12)], root)
     with pytest.raises(ArtefactError, match="is another release since it was opened"):
         Pictures(opened)
 
