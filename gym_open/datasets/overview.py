@@ -1,0 +1,149 @@
+"""Releases at a glance: what is in one, and which there are below a folder. Nothing is hashed here."""
+
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+from rich.table import Table
+
+from gym_open import artefacts
+from gym_open.datasets import payload
+from gym_open.datasets.semver import parse
+from gym_open.errors import ArtefactError
+from gym_open.formats.releases import Release
+from gym_open.formats.releases.content import payload_digest
+from gym_open.formats.releases.features import fps
+from gym_open.formats.releases.info import read_info
+from gym_open.formats.releases.layout import INFO_PATH, SPLITS
+from gym_open.terminal import markup
+
+
+def info_tables(root: Path) -> list[Table]:
+    """What is in the release at `root`: names and digests, splits, explorers, features.
+
+    Raises:
+        ArtefactError: if it is missing, not a release, or its records are not readable.
+    """
+    release = _look(root)
+    return [_facts(release), _splits(release), _explorers(release), _features(release)]
+
+
+def list_table(folder: Path) -> Table:
+    """All releases below `folder`, hidden folders left out. What cannot be read is listed with the reason.
+
+    Raises:
+        ArtefactError: if there is no such folder.
+    """
+    if not folder.is_dir():
+        raise ArtefactError(f"{folder}: no such folder; give one with releases below it")
+    table = _table(
+        f"releases below {folder}", ["name", "version"], ["frames", "episodes", "MB"], ["explorers", "digest"]
+    )
+    table.add_column("folder", overflow="fold")
+    rows = [_row(root, folder) for root in _roots(folder)]
+    for _, row in sorted(rows):
+        table.add_row(*row)
+    return table
+
+
+def _look(root: Path) -> Release:
+    found = artefacts.digest(root)
+    if (kind := artefacts.lineage(root).kind) != "release":
+        raise ArtefactError(f"{root}: expected an artefact of kind 'release', got {kind!r}")
+    return Release(root, found, read_info(root))
+
+
+def _table(title: str, left: list[str], right: list[str], last: list[str] | None = None) -> Table:
+    table = Table(title=markup(title), title_justify="left")
+    for name in (*left, *right, *(last or [])):
+        table.add_column(name, justify="right" if name in right else "left", overflow="fold")
+    return table
+
+
+def _facts(release: Release) -> Table:
+    ours, episodes = release.info["gym_open"], release.episodes
+    entries = artefacts.manifest(release.root)
+    steps = int(episodes["steps"].sum())
+    parents = artefacts.lineage(release.root).parents
+    table = _table(f"{release.name} {release.version}", ["", " "], [])
+    table.show_header = False
+    for name, value in (
+        ("frames", f"{len(release):,} in {len(episodes):,} episodes"),
+        ("actions", f"{steps:,}: {steps / fps() / 60:,.1f} simulated minutes"),
+        ("streams", f"{episodes['stream'].nunique():,}"),
+        ("worlds", f"{episodes['puzzle'].nunique():,} distinct layouts"),
+        ("pictures", ours["pictures"]),
+        ("size", f"{payload.total_bytes(entries) / 1e6:,.1f} MB in {len(entries):,} files"),
+        ("batches", f"{ours['batches']}: one build" + f" and {ours['batches'] - 1} appended" * (ours["batches"] > 1)),
+        ("licence", ours["license"]),
+        ("published", ours["published"] or "no date"),
+        ("digest", release.digest),
+        ("payload digest", payload_digest(entries)),
+        ("content digest", payload.digests(release.root).release),
+        ("made of", "\n".join(f"{parent.lineage.kind} {parent.digest[:16]}" for parent in parents)),
+        ("code", artefacts.lineage(release.root).code),
+    ):
+        table.add_row(name, markup(value))
+    return table
+
+
+def _splits(release: Release) -> Table:
+    table = _table(f"splits, by {release.info['gym_open']['split_by']}", ["split"], ["episodes", "frames", "worlds"])
+    for split in SPLITS:
+        rows = release.episodes[release.episodes["split"] == split]
+        table.add_row(split, f"{len(rows):,}", f"{rows['length'].sum():,}", f"{rows['puzzle'].nunique():,}")
+    return table
+
+
+def _explorers(release: Release) -> Table:
+    table = _table("explorers", ["explorer"], ["streams", "episodes", "frames", "worlds"], ["episodes ended by"])
+    for name, rows in release.episodes.groupby("explorer"):
+        ended = ", ".join(f"{reason} {count}" for reason, count in sorted(Counter(rows["ended"]).items()))
+        table.add_row(
+            markup(str(name)), f"{rows['stream'].nunique():,}", f"{len(rows):,}", f"{rows['length'].sum():,}",
+            f"{rows['puzzle'].nunique():,}", markup(ended),
+        )  # fmt: skip
+    return table
+
+
+def _features(release: Release) -> Table:
+    table = _table("features", ["feature", "type"], ["shape"])
+    for name, feature in release.info["features"].items():
+        table.add_row(markup(name), markup(feature["dtype"]), "×".join(map(str, feature["shape"])))
+    return table
+
+
+def _roots(folder: Path) -> Iterator[Path]:
+    """Folders that look like a release, whole or not."""
+    for item in sorted(folder.iterdir()):
+        if not item.is_dir() or item.is_symlink() or item.name.startswith("."):
+            continue
+        if (item / INFO_PATH).exists() or _kind(item) == "release":
+            yield item
+        elif _kind(item) is None:
+            yield from _roots(item)
+
+
+def _kind(root: Path) -> str | None:
+    """Kind of the artefact at `root`; None if it is none that can be told."""
+    try:
+        return artefacts.lineage(root).kind
+    except ArtefactError:
+        return None
+
+
+def _row(root: Path, folder: Path) -> tuple[tuple[str, tuple[int, int, int]], list[str]]:
+    """What to sort by, and the cells."""
+    place = root.relative_to(folder).as_posix()
+    try:
+        release = _look(root)
+        explorers = ", ".join(sorted(release.table("streams")["explorer"].unique()))
+        size = payload.total_bytes(artefacts.manifest(root)) / 1e6
+    except ArtefactError as error:
+        cells = [markup(root.parent.name), markup(root.name), "", "", "", f"[red]damaged:[/] {markup(str(error))}", ""]
+        return (place, (0, 0, 0)), [*cells, markup(place)]
+    cells = [
+        release.name, release.version, f"{len(release):,}", f"{release.info['total_episodes']:,}", f"{size:,.1f}",
+        explorers, release.digest[:12], place,
+    ]  # fmt: skip
+    return (release.name, parse(release.version) or (0, 0, 0)), [markup(cell) for cell in cells]
