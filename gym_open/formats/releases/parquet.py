@@ -41,7 +41,7 @@ def metadata(path: Path) -> "pq.FileMetaData":
     Raises:
         ParquetError: if the file is missing, no parquet, or its footer cannot be that of our writer.
     """
-    with _opened(path) as file:
+    with opened(path) as file:
         return file.metadata
 
 
@@ -61,7 +61,7 @@ def read(
     """
     import pyarrow as pa
 
-    with _opened(path) as file:
+    with opened(path) as file:
         if wrong := _difference(file.schema_arrow, schema):
             raise ParquetError(f"{path}: {wrong}; {_REMEDY}")
         chosen = range(file.metadata.num_row_groups) if groups is None else groups
@@ -76,7 +76,12 @@ def read(
     return table.select([name for name in schema.names if name in table.column_names])
 
 
-def _opened(path: Path) -> "pq.ParquetFile":
+def opened(path: Path) -> "pq.ParquetFile":
+    """The file at `path`, its footer checked; its pages are not yet (`check_pages`).
+
+    Raises:
+        ParquetError: as `metadata` does.
+    """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -85,26 +90,26 @@ def _opened(path: Path) -> "pq.ParquetFile":
         if path.is_symlink() or not path.is_file():
             raise ParquetError(f"{path}: missing, or a link; {_REMEDY}")
         size = path.stat().st_size
-        with path.open("rb") as file:
-            file.seek(max(size - 8, 0))
-            tail = file.read(8)
+        with path.open("rb") as raw:
+            raw.seek(max(size - 8, 0))
+            tail = raw.read(8)
         footer = int.from_bytes(tail[:4], "little")
         if len(tail) < 8 or tail[4:] != _MAGIC or footer > min(size - 12, MAX_FOOTER_BYTES):
             raise ParquetError(
                 f"{path}: {size:,} bytes with a footer of {footer:,}, at most {MAX_FOOTER_BYTES:,} are allowed; "
                 f"{_REMEDY}"
             )
-        opened = pq.ParquetFile(
+        file = pq.ParquetFile(
             path, thrift_string_size_limit=MAX_FOOTER_BYTES, thrift_container_size_limit=MAX_FOOTER_BYTES
         )
     except (pa.ArrowException, OSError, ValueError) as error:
         raise ParquetError(f"{path}: not readable as parquet: {error}; {_REMEDY}") from None
     try:
-        _check_footer(path, opened.metadata, size, size - 8 - footer)
+        _check_footer(path, file.metadata, size, size - 8 - footer)
     except ParquetError:
-        opened.close()
+        file.close()
         raise
-    return opened
+    return file
 
 
 def _check_footer(path: Path, found: "pq.FileMetaData", size: int, end: int) -> None:

@@ -1,0 +1,209 @@
+"""Every frame decoded once: what must hold within an episode, and statistics and content digests computed anew."""
+
+from collections.abc import Iterator, Mapping
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from gym_open import progress
+from gym_open.datasets.frames import NO_ACTION
+from gym_open.datasets.statistics import STATISTICS, Merger, Stats, feature_stats, picture_stats, read_stats
+from gym_open.datasets.verify.report import Findings, rows_of
+from gym_open.errors import ArtefactError
+from gym_open.formats.releases import content, parquet
+from gym_open.formats.releases.features import STATE_FIELDS, fps, objects
+from gym_open.formats.releases.info import read_json
+from gym_open.formats.releases.layout import (
+    BOOKKEEPING,
+    DIGESTS_PATH,
+    EPISODES_PATHS,
+    IMAGE,
+    PART,
+    STATS_PATH,
+    TABLES,
+    TASKS_PATH,
+    data_path,
+    video_path,
+)
+from gym_open.formats.releases.reader import Release
+from gym_open.formats.releases.schemas import STATS, episodes_schema
+
+_ROUNDING = 1e-9
+"""Relative error of a mean or deviation that another processor's order of adding may make."""
+_PADDED = (
+    *("reward.intrinsic", "policy.entropy", "policy.value"),
+    *("contact.count", "contact.agent", "contact.impulse"),
+)
+"""Features that are 0 where there was no action."""
+
+
+def check_contents(release: Release, findings: Findings) -> str:
+    """Check all frames and what is said of them; the content digest of the release as computed anew."""
+    episodes, stored = release.episodes, release.table("content")
+    mergers = {name: Merger() for name in release.info["features"]}
+    digests: list[str] = []
+    pictures: list[str] = []
+    rows = rows_of(episodes)
+    with progress.bar("verifying", len(release)) as bar:
+        for row, said in zip(rows, _statistics(release), strict=True):
+            number, file = row["episode_index"], data_path(row["data/chunk_index"], row["data/file_index"])
+            first, stop = row["dataset_from_index"], row["dataset_to_index"]
+            try:
+                values, images = release.numbers(first, stop), release.images(range(first, stop))
+            except ArtefactError as error:
+                findings.add(file, f"episode {number}: {error}")
+                bar.advance(stop - first)
+                continue
+            for what in wrong_in(values, row, release.info["features"]):
+                findings.add(file, f"episode {number}: {what}")
+            found = {name: feature_stats(array) for name, array in values.items()} | {IMAGE: picture_stats(images)}
+            for name, merger in mergers.items():
+                merger.add(said[name])
+                if not _alike(found[name], said[name]):
+                    findings.add("meta/episodes", f"episode {number}: statistics of {name} are not those of its frames")
+            of_features = {name: content.feature_digest(array) for name, array in values.items()
+                           if name not in BOOKKEEPING} | {IMAGE: content.feature_digest(images)}  # fmt: skip
+            for name, digest in of_features.items():
+                if stored[name].iloc[number] != digest:
+                    findings.add(file, f"episode {number}: {name} is not what its content digest says")
+            digests.append(content.episode_digest(of_features, row))
+            pictures.append(of_features[IMAGE])
+            bar.advance(stop - first)
+    if len(digests) < len(rows):
+        return ""
+    _check_stats(release, mergers, findings)
+    return _check_digests(release, digests, pictures, findings)
+
+
+def wrong_in(values: Mapping[str, np.ndarray], row: Mapping[str, Any], described: Mapping[str, Any]) -> Iterator[str]:
+    """What is wrong with the numbers of one episode, in words.
+
+    Args:
+        values: all numeric features, `row["length"]` frames each.
+        row: the episode's of `meta/episodes`.
+        described: features as in `meta/info.json`.
+    """
+    played = np.arange(row["length"]) < row["steps"]
+    for name, wanted in _places(row, played).items():
+        if not np.array_equal(values[name], wanted):
+            yield f"{name} is not what its place in the episode makes it"
+    for good, what in (*_moves(values, played), *_states(values, described)):
+        if not good:
+            yield what
+    for name in _PADDED:
+        if values[name][~played].any():
+            yield f"{name} is not 0 on the last frame"
+    for name in values:
+        if name.startswith(PART) and not np.isnan(values[name][~played]).all():
+            yield f"{name} is not NaN on the last frame"
+    loss = values["world_model.loss"]
+    if not (loss[~played] == 0).all() and not np.isnan(loss).all():
+        yield "world_model.loss is not 0 on the last frame"
+
+
+def _places(row: Mapping[str, Any], played: np.ndarray) -> dict[str, np.ndarray]:
+    """Features that follow from where a frame stands in its episode."""
+    frames, steps = row["length"], row["steps"]
+    number = np.arange(frames)
+    return {
+        "index": row["dataset_from_index"] + number,
+        "frame_index": number,
+        "episode_index": np.full(frames, row["episode_index"]),
+        "task_index": np.zeros(frames),
+        "timestamp": (number / fps()).astype(np.float32),
+        "next.done": np.zeros(frames, bool),
+        "next.reward": np.zeros(frames),
+        "next.truncated": number >= steps - 1,
+        "transition.valid": played,
+    }
+
+
+def _moves(values: Mapping[str, np.ndarray], played: np.ndarray) -> Iterator[tuple[bool, str]]:
+    """What must hold of actions and contacts, and the words if it does not."""
+    actions, width = values["action.index"], values["action"].shape[1]
+    known = bool(((actions >= 0) & (actions < width))[played].all() and (actions[~played] == NO_ACTION).all())
+    yield known, f"action.index is not 0 to {width - 1}, and {NO_ACTION} on the last frame"
+    one_hot = np.eye(width + 1, width, dtype=np.float32)  # its last row, which -1 finds, is all zero
+    yield not known or np.array_equal(values["action"], one_hot[actions]), "action is not action.index as one of nine"
+    count, agent, impulse = (values[f"contact.{name}"] for name in ("count", "agent", "impulse"))
+    agree = np.isfinite(impulse) & (count >= agent) & (agent >= 0) & ((impulse == 0) | (count > 0))
+    yield bool(agree.all()), "contact.count, contact.agent and contact.impulse do not agree"
+
+
+def _states(values: Mapping[str, np.ndarray], described: Mapping[str, Any]) -> Iterator[tuple[bool, str]]:
+    """What must hold of states."""
+    every = values["observation.environment_state"]
+    state = every.reshape(len(every), -1, len(STATE_FIELDS))
+    yield bool(np.isfinite(state).all()), "observation.environment_state is not finite"
+    agent = state[:, objects(dict(described)).index("agent")]
+    same = np.array_equal(values["observation.state"], agent)
+    yield same, "observation.state is not the agent's in observation.environment_state"
+
+
+def _statistics(release: Release) -> Iterator[dict[str, Stats]]:
+    """Statistics of each episode as `meta/episodes` has them, a row group at a time."""
+    described = release.info["features"]
+    columns = episodes_schema(described)
+    names = [name for name in columns.names if name.startswith(STATS)]
+    for path in sorted(release.root.glob(EPISODES_PATHS)):
+        for group in range(parquet.metadata(path).num_row_groups):
+            for row in parquet.read(path, columns, names, [group]).to_pylist():
+                try:
+                    yield {
+                        name: read_stats({key: row[f"{STATS}{name}/{key}"] for key in STATISTICS}) for name in described
+                    }
+                except (TypeError, ValueError, IndexError) as error:
+                    raise ArtefactError(f"{path}: statistics that are none: {error}; get the release anew") from None
+
+
+def _alike(one: Stats, other: Stats) -> bool:
+    """Whether statistics are the same: exactly, apart from rounding of means and deviations."""
+    if any(getattr(one, name).shape != getattr(other, name).shape for name in STATISTICS[:-1]):
+        return False
+    exact = one.count == other.count and np.array_equal(one.min, other.min) and np.array_equal(one.max, other.max)
+    scale = np.maximum(np.abs(one.max), np.abs(one.min)) + 1e-300
+    near = (np.abs(getattr(one, name) - getattr(other, name)) <= _ROUNDING * scale for name in ("mean", "std"))
+    return exact and all(bool(each.all()) for each in near)
+
+
+def _check_stats(release: Release, mergers: Mapping[str, Merger], findings: Findings) -> None:
+    """`meta/stats.json` is that of all episodes."""
+    said = read_json(release.root / STATS_PATH, dict[str, dict[str, Any]])
+    for name in sorted(said.keys() | mergers.keys()):
+        try:
+            good = name in mergers and _alike(mergers[name].result(), read_stats(said[name]))
+        except (KeyError, TypeError, ValueError, IndexError):
+            good = False
+        findings.expect(good, STATS_PATH, f"statistics of {name} are not those of the episodes")
+
+
+def _check_digests(release: Release, episodes: list[str], pictures: list[str], findings: Findings) -> str:
+    """`meta/digests.json` is that of what was decoded; the release's own digest, computed anew."""
+    said = read_json(release.root / DIGESTS_PATH, dict[str, Any])
+    files: dict[str, str] = {}
+    rows = release.episodes
+    places = zip(rows["data/chunk_index"].tolist(), rows["data/file_index"].tolist(), strict=True)
+    first = 0
+    for place, group in groupby(places):
+        stop = first + len(list(group))
+        files[data_path(*place)] = content.data_file_digest(episodes[first:stop])
+        if release.info["features"][IMAGE]["dtype"] == "video":
+            files[video_path(*place)] = content.data_file_digest(pictures[first:stop])
+        first = stop
+    for path in (*release.root.glob("meta/*/**/*.parquet"), release.root / TASKS_PATH):
+        name = path.relative_to(release.root).as_posix()
+        with parquet.opened(path) as file:
+            parquet.check_pages(path, file.metadata)
+            files[name] = content.table_digest(file.read())
+    tables = {name: release.arrow_table(name) for name in TABLES}
+    facts = pa.Table.from_pandas(rows[list(content.EPISODE_PLACES)], preserve_index=False)
+    total = content.release_digest(release.info["features"], episodes, facts, tables)
+    found = said.get("files")
+    found = found if isinstance(found, dict) else {}
+    for name in sorted(files.keys() | found.keys()):
+        findings.expect(files.get(name) == found.get(name), name, f"its content is not what {DIGESTS_PATH} says")
+    findings.expect(said.get("release") == total, DIGESTS_PATH, "the release's content digest is not that of its parts")
+    findings.expect(set(said) == {"release", "files"}, DIGESTS_PATH, "holds something else than release and files")
+    return total

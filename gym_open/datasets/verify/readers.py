@@ -1,0 +1,92 @@
+"""Whether the readers that people use give the same frames as ours: LeRobot, off-line, and pandas."""
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from gym_open.datasets.verify.report import Findings
+from gym_open.formats.releases import pngs
+from gym_open.formats.releases.layout import IMAGE, data_path
+from gym_open.formats.releases.reader import Release
+
+_LIMIT_S = 900
+_VIDEO_LEVELS = 2
+"""How far another conversion from YUV may be off."""
+
+
+def chosen(release: Release) -> list[int]:
+    """Episodes that are read: the first, one in the middle, the last."""
+    count = len(release.episodes)
+    return sorted({0, count // 2, count - 1})
+
+
+def check_lerobot(release: Release, findings: Findings) -> None:
+    """LeRobot loads it without a network and gives our frames."""
+    episodes = chosen(release)
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "frames.npz"
+        offline = {"HF_HUB_OFFLINE": "1", "HF_DATASETS_OFFLINE": "1", "HF_HOME": folder, "HF_LEROBOT_HOME": folder}
+        module = "gym_open.datasets.verify.lerobot_frames"
+        words = [sys.executable, "-m", module, str(release.root.absolute()), release.name, str(out)]
+        try:
+            done = subprocess.run(  # noqa: S603  # our own module, by a list of words
+                [*words, *map(str, episodes)], env={**os.environ, **offline, "HF_DATASETS_CACHE": f"{folder}/datasets"},
+                capture_output=True, text=True, errors="replace", check=False, timeout=_LIMIT_S,
+            )  # fmt: skip
+        except subprocess.TimeoutExpired:
+            findings.add("data", f"LeRobot did not load it within {_LIMIT_S} s")
+            return
+        if done.returncode or not out.exists():
+            last = (done.stderr.strip().splitlines() or ["it said nothing"])[-1]
+            findings.add("data", f"LeRobot cannot load it: {last[:300]}")
+            return
+        with np.load(out, allow_pickle=False) as found:
+            _compare(release, dict(found), episodes, findings)
+
+
+def _compare(release: Release, found: dict[str, np.ndarray], episodes: list[int], findings: Findings) -> None:
+    exact = release.info["features"][IMAGE]["dtype"] == "image"
+    for episode in episodes:
+        row = release.episodes.iloc[episode]
+        first, stop = int(row["dataset_from_index"]), int(row["dataset_to_index"])
+        file = data_path(int(row["data/chunk_index"]), int(row["data/file_index"]))
+        good = found[f"{episode}/length"][0] == stop - first
+        good &= found[f"{episode}/total"].tolist() == [len(release.episodes), len(release)]
+        findings.expect(bool(good), file, f"LeRobot finds another number of episodes or frames than episode {episode}")
+        for place, index in (("first", first), ("last", stop - 1)):
+            values, (picture,) = release.numbers(index, index + 1), release.images([index])
+            theirs = found[f"{episode}/{place}/{IMAGE}"].transpose(1, 2, 0) * 255
+            off = np.abs(theirs - picture).max()
+            findings.expect(
+                bool(off <= (0.01 if exact else _VIDEO_LEVELS)), file,
+                f"LeRobot's {place} picture of episode {episode} is off by {off:.3g} levels",
+            )  # fmt: skip
+            for name, array in values.items():
+                same = np.array_equal(array[0], found[f"{episode}/{place}/{name}"].reshape(array[0].shape), True)
+                findings.expect(same, file, f"LeRobot's {name} of the {place} frame of episode {episode} is another")
+
+
+def check_pandas(release: Release, findings: Findings) -> None:
+    """Pandas reads the first and the last data file, and gives our frames."""
+    import pandas as pd
+
+    rows = release.episodes
+    for row in (rows.iloc[0], rows.iloc[-1]):
+        place = int(row["data/chunk_index"]), int(row["data/file_index"])
+        file = data_path(*place)
+        inside = rows[(rows["data/chunk_index"] == place[0]) & (rows["data/file_index"] == place[1])]
+        first, stop = int(inside["dataset_from_index"].min()), int(inside["dataset_to_index"].max())
+        table = pd.read_parquet(release.root / file)
+        findings.expect(len(table) == stop - first, file, f"pandas finds {len(table)} frames, expected {stop - first}")
+        for index in (first, stop - 1):
+            found = table.iloc[index - first]
+            for name, array in release.numbers(index, index + 1).items():
+                same = np.array_equal(array[0], np.reshape(found[name], array[0].shape), True)
+                findings.expect(same, file, f"pandas finds another {name} in frame {index}")
+            if release.info["features"][IMAGE]["dtype"] == "image":
+                same = np.array_equal(pngs.decode(found[IMAGE]["bytes"]), release.images([index])[0])
+                findings.expect(same, file, f"pandas finds another picture in frame {index}")

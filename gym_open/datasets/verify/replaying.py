@@ -1,0 +1,152 @@
+"""Playing a release again: from every keyframe, the stored actions in a fresh simulation, down to the pixel."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import msgspec
+import numpy as np
+from rich.table import Table
+
+from gym_open import progress
+from gym_open.datasets.verify.report import Findings, rows_of
+from gym_open.datasets.verify.tables import puzzles_of
+from gym_open.envs.physics.contacts import Contact
+from gym_open.errors import GymOpenError
+from gym_open.formats.logs.replay_report import by_stream, by_window, worst
+from gym_open.formats.releases.features import STATE_FIELDS
+from gym_open.formats.releases.layout import data_path
+from gym_open.formats.releases.reader import Release
+from gym_open.formats.replaying import VERDICTS, Moment, Player, Window
+
+
+class Replay(msgspec.Struct):
+    """What came of it."""
+
+    windows: list[Window]
+    steps: int = 0
+    """Steps that were played again."""
+    skipped: int = 0
+    """Steps before the first keyframe of their episode."""
+    tables: list[Table] = []
+
+    @property
+    def outcome(self) -> str:
+        """In words."""
+        left = f", {self.skipped:,} not replayed (before the first state of their episode)" if self.skipped else ""
+        if not self.windows:
+            return f"nothing to replay{left}"
+        return f"{worst(self.windows)} ({self.steps:,} steps in {len(self.windows):,} windows{left})"
+
+
+def replay_release(release: Release, tolerance: float, findings: Findings) -> Replay:
+    """Play all episodes again and note those that went another way. Memory is that of one episode and all states."""
+    done = Replay([])
+    names = tuple(release.info["gym_open"]["objects"])
+    player = Player(tolerance)
+    if names != player.world.inventory:
+        findings.add(
+            "meta/info.json",
+            f"its {len(names)} objects are not the {len(player.world.inventory)} of this version's world; replay it "
+            "with the version that its provenance names",
+        )
+        return done
+    played = _Played(release, player)
+    with progress.bar("replaying", int(release.episodes["steps"].sum())) as bar:
+        for row in rows_of(release.episodes):
+            file = data_path(row["data/chunk_index"], row["data/file_index"])
+            windows: list[Window] = []
+            try:
+                windows += played.episode(row)
+            except GymOpenError as error:
+                findings.add(file, f"episode {row['episode_index']}: cannot be replayed: {error}")
+            for window in windows:
+                if window.verdict == "diverged":
+                    findings.add(file, f"episode {row['episode_index']}: {_difference(window)}")
+            done.windows += windows
+            done.steps += sum(window.steps for window in windows)
+            bar.advance(row["steps"], f"episode {row['episode_index']}")
+    done.skipped = played.skipped
+    by_number: dict[int, list[Window]] = {}
+    for window in done.windows:
+        by_number.setdefault(window.stream, []).append(window)
+    others = [window for window in done.windows if window.verdict != "identical"]
+    others.sort(key=lambda window: -VERDICTS.index(window.verdict))
+    done.tables = [by_stream(list(by_number.values()), tolerance)] + ([by_window(others)] if others else [])
+    return done
+
+
+def _difference(window: Window) -> str:
+    """Where and by how much a window diverged, in words."""
+    off = max(window.state_error, key=window.state_error.__getitem__, default=None)
+    parts = [] if off is None else [f"{off} off by {window.state_error[off]:.2g}"]
+    parts += [f"contacts off in {window.contact_steps} step(s)"] if window.contact_steps else []
+    parts += [f"{window.pixels:,} pixel(s) of {window.pictures} picture(s)"] if window.pixels else []
+    return f"diverged in the replay at step {window.first_diverged} of stream {window.stream} ({', '.join(parts)})"
+
+
+class _Played:
+    """Episodes, one at a time, with what a replay needs to know of all of them."""
+
+    def __init__(self, release: Release, player: Player) -> None:
+        self._release, self._player = release, player
+        self._puzzles = puzzles_of(release)
+        frames = release.table("keyframes")
+        places = zip(frames["episode_index"].tolist(), frames["frame_index"].tolist(), strict=True)
+        self._rows = {place: i for i, place in enumerate(places)}
+        self._states = frames["integration_state"].tolist()
+        self._starts = {
+            (row["stream"], row["segment"], row["piece"]): row["episode_index"] for row in rows_of(release.episodes)
+        }
+        self.skipped = 0
+
+    def episode(self, row: dict[str, Any]) -> Iterator[Window]:
+        """Play an episode; every window of it.
+
+        Raises:
+            GymOpenError: if something of it cannot be played by this version.
+        """
+        player, number, steps = self._player, row["episode_index"], row["steps"]
+        player.finish()
+        names = player.world.inventory
+        values = self._release.numbers(row["dataset_from_index"], row["dataset_to_index"])
+        images = self._release.images(range(row["dataset_from_index"], row["dataset_to_index"]))
+        states = values["observation.environment_state"].reshape(steps + 1, -1, len(STATE_FIELDS))
+        for i in range(steps + 1):
+            if (place := self._rows.get((number, i))) is not None:
+                if player.window is None:
+                    player.load(self._puzzles[row["stream"], row["world"]])
+                state = self._states[place]
+                player.arrive(state)
+                if window := player.finish():
+                    yield window
+                player.begin(Window(row["stream"], row["segment"], row["first_step"] + i), state,
+                             Moment(states[i], images[i]), names)  # fmt: skip
+            if i == steps:
+                break
+            if player.window is None:
+                self.skipped += 1
+            else:
+                against = _against(*(values[f"contact.{name}"][i] for name in ("count", "agent", "impulse")))
+                player.step(int(values["action.index"][i]), against, Moment(states[i + 1], images[i + 1]), names)
+        self._arrive_in_next(row)
+        if window := player.finish():
+            yield window
+
+    def _arrive_in_next(self, row: dict[str, Any]) -> None:
+        """Hold the end of an episode against the state with which its next piece begins."""
+        following = self._starts.get((row["stream"], row["segment"], row["piece"] + 1))
+        if following is not None and (place := self._rows.get((following, 0))) is not None:
+            self._player.arrive(self._states[place])
+
+
+def _against(count: int, agent: int, impulse: np.float32) -> Callable[[tuple[Contact, ...]], float | None]:
+    """How far a step's contacts are from the three numbers that a release has of them."""
+
+    def error(found: tuple[Contact, ...]) -> float | None:
+        total = np.float32(sum(contact.impulse for contact in found))
+        touching = sum("agent" in (contact.a, contact.b) for contact in found)
+        if (len(found), touching, total) == (count, agent, impulse):
+            return None
+        return abs(float(total) - float(impulse))
+
+    return error

@@ -1,0 +1,144 @@
+"""All checks of a release in their order: each is done only if what it rests on is sound."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+from gym_open import artefacts
+from gym_open.datasets.verify.contents import check_contents
+from gym_open.datasets.verify.papers import check_papers
+from gym_open.datasets.verify.readers import check_lerobot, check_pandas
+from gym_open.datasets.verify.replaying import replay_release
+from gym_open.datasets.verify.report import NOT_CHECKED, Check, Findings, Report, verdict_of
+from gym_open.datasets.verify.structure import check_episodes, check_files, check_info
+from gym_open.datasets.verify.tables import check_tables
+from gym_open.errors import GymOpenError, UsageError
+from gym_open.formats.releases.info import read_info
+from gym_open.formats.releases.layout import SIGNATURE, belongs
+from gym_open.formats.releases.reader import Release
+
+CACHED_GROUPS = 4
+"""Row groups whose pictures stay in memory: episodes are read one after the other."""
+
+
+def verify_release(root: Path, *, replay: bool = True, tolerance: float = 1e-3, key: Path | None = None) -> Report:
+    """Check a release: bytes, structure, frames, statistics, digests, readers, signature, and by playing it again.
+
+    Args:
+        root: folder of the release, which may be anybody's.
+        replay: simulate it again, too.
+        tolerance: how far a number (m, m/s, rad/s, N s) may be off before a window has diverged.
+        key: PEM file of the public key that must have signed it.
+
+    Raises:
+        UsageError: if the tolerance is no number from 0 on, or there is no folder.
+    """
+    if not 0 <= tolerance < math.inf:
+        raise UsageError(f"--tolerance: expected 0 or more, got {tolerance}")
+    if not root.is_dir():
+        raise UsageError(f"{root}: no such folder; give that of a release")
+    return _Verification(root, key).run(replay, tolerance)
+
+
+class _Verification:
+    """What was found so far."""
+
+    def __init__(self, root: Path, key: Path | None) -> None:
+        self._root, self._key = root, key
+        self._findings = Findings()
+        self._checks: list[Check] = []
+        self._digest = self._content = ""
+        self._names: set[str] = set()
+        self._release: Release | None = None
+
+    def run(self, replay: bool, tolerance: float) -> Report:
+        """Do all checks."""
+        report = Report("", [], "", "", self._checks)
+        self._check("bytes", self._bytes)
+        self._check("signature", self._signature, needs=not self._findings.count)
+        self._check("structure", self._structure, needs=not self._findings.count)
+        sound, before = not self._findings.count, self._findings.count
+        self._check("papers", self._papers, needs=sound)
+        papers = self._findings.count - before
+        self._check("frames", self._frames, needs=sound)
+        sound = self._findings.count == papers  # nothing rests on the papers
+        self._check("readers", self._readers, needs=sound)
+
+        def play() -> str:
+            assert self._release is not None
+            done = replay_release(self._release, tolerance, self._findings)
+            report.replayed = done.tables
+            return done.outcome
+
+        if replay:
+            self._check("replay", play, needs=sound)
+        else:
+            self._checks.append(Check("replay", f"{NOT_CHECKED}, as asked", None))
+        report.problems = self._findings.problems
+        report.digest, report.content = self._digest, self._content
+        report.verdict = verdict_of(self._checks, report.problems, self._findings.count)
+        return report
+
+    def _check(self, name: str, work: Callable[[], str], *, needs: bool = True) -> None:
+        """Do one check, unless what it rests on is unsound; what it raises is a problem like others."""
+        if not needs:
+            self._checks.append(Check(name, f"{NOT_CHECKED}: what comes before it is not sound", None))
+            return
+        before = self._findings.count
+        try:
+            outcome = work()
+        except GymOpenError as error:
+            self._findings.add(self._place(str(error)), str(error))
+            outcome = ""
+        except Exception as error:  # what a hostile release makes libraries raise is not to be listed
+            self._findings.add(".", f"{name} cannot be checked: {type(error).__name__}: {error}"[:500])
+            outcome = ""
+        found = self._findings.count - before
+        self._checks.append(Check(name, f"{found:,} problem(s)" if found else outcome, not found))
+
+    def _place(self, error: str) -> str:
+        """The file of the release that an error names, if it does."""
+        prefix = f"{self._root}/"
+        return error.removeprefix(prefix).split(":")[0] if error.startswith(prefix) else "."
+
+    def _bytes(self) -> str:
+        self._digest = artefacts.digest(self._root)
+        for problem in artefacts.problems(self._root):
+            self._findings.add(problem.file, problem.what)
+        manifest = artefacts.manifest(self._root)
+        if (kind := artefacts.lineage(self._root).kind) != "release":
+            self._findings.add(artefacts.LINEAGE, f"an artefact of kind {kind!r}, expected 'release'")
+        for name in sorted(manifest):
+            if not belongs(name) or name == SIGNATURE:
+                self._findings.add(name, "no release of this format has such a file; do not use this one")
+        self._names = set(manifest)
+        return f"{len(manifest):,} files, {sum(entry.bytes for entry in manifest.values()):,} bytes as in the manifest"
+
+    def _signature(self) -> str:
+        from gym_open.datasets.signing import check_signature
+
+        return check_signature(self._root, self._key)
+
+    def _structure(self) -> str:
+        release = Release(self._root, self._digest, read_info(self._root), cached_groups=CACHED_GROUPS)
+        self._release = release
+        check_files(release, self._names, self._findings)
+        if not self._findings.count:
+            check_episodes(release, self._findings)
+            check_info(release, self._findings)
+            check_tables(release, self._findings)
+        return f"{len(release.episodes):,} episodes, {len(release):,} frames fit together"
+
+    def _papers(self) -> str:
+        return check_papers(self._root, self._findings)
+
+    def _frames(self) -> str:
+        assert self._release is not None
+        self._content = check_contents(self._release, self._findings)
+        return "statistics and content digests are those of the frames"
+
+    def _readers(self) -> str:
+        assert self._release is not None
+        check_pandas(self._release, self._findings)
+        check_lerobot(self._release, self._findings)
+        return "LeRobot and pandas read the same frames"
