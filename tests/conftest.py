@@ -1,6 +1,6 @@
 """A small hand-made log artefact, for whatever reads logs: pictures and figures are drawn at random, not simulated."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -100,3 +100,11 @@ def make_log(tmp_path_factory: pytest.TempPathFactory) -> MakeLog:
         return artefacts.build(out, kind="log", config=recipe, parents=[], work=work).path
 
     return make
+
+
+@pytest.fixture(scope="module")
+def no_figures() -> Iterator[None]:
+    """Releases are built without the figures of their cards, which take most of the time of a small one."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gym_open.datasets.papers.draw", lambda _: {})
+        yield

@@ -24,6 +24,7 @@ from gym_open.errors import ArtefactError, UsageError
 from gym_open.formats.logs.reader import log_files, open_logs
 from gym_open.formats.logs.schemas import Segment
 
+pytestmark = pytest.mark.usefixtures("no_figures")
 MakeLog = Callable[..., Path]
 CONFIG = ReleaseConfig(max_episode_steps=5, val_fraction=0.34)
 
@@ -43,7 +44,7 @@ def segments(log: Path) -> dict[tuple[int, int], Segment]:
 
 
 def episodes(release: Release) -> list[dict[str, Any]]:
-    return release.episodes.to_dict("records")
+    return [{str(name): value for name, value in row.items()} for row in release.episodes.to_dict("records")]
 
 
 def test_every_frame_is_the_logs(log: Path, release: Release) -> None:

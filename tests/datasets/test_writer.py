@@ -1,0 +1,156 @@
+"""A build that is killed goes on: finished data files stay, nothing in them is coded again, the bytes are the same."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gym_open import artefacts
+from gym_open.datasets import Release, open_release
+from gym_open.datasets.build import build_release
+from gym_open.datasets.config import ReleaseConfig
+from gym_open.datasets.sources import Episode, episodes_of_release
+from gym_open.datasets.tracks import Prepared, prepare
+
+pytestmark = pytest.mark.usefixtures("no_figures")
+MakeLog = Callable[..., Path]
+CONFIG = ReleaseConfig(data_file_mb=1, max_episode_steps=10, val_fraction=0.34)
+
+
+class KilledError(Exception):
+    pass
+
+
+@pytest.fixture(scope="module")
+def log(make_log: MakeLog) -> Path:
+    return make_log(lengths=((50, 35, 25), (40, 30)), keyframe_every=8)
+
+
+@pytest.fixture(scope="module")
+def release(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Release:
+    return open_release(build_release(CONFIG, [log], tmp_path_factory.mktemp("r") / "release").path)
+
+
+def interrupted(log: Path, out: Path, after: int) -> None:
+    """Begin a build that dies as it prepares an episode."""
+    prepared: list[Episode] = []
+
+    def dies(episode: Episode) -> Prepared:
+        prepared.append(episode)
+        if len(prepared) == after:
+            raise KilledError
+        return prepare(episode)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gym_open.datasets.writer.prepare", dies)
+        with pytest.raises(KilledError):
+            build_release(CONFIG, [log], out, workers=1)
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("after", [2, 9, 17])
+def test_an_interrupted_build_goes_on(
+    after: int, log: Path, release: Release, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "release"
+    interrupted(log, out, after)
+    partial = tmp_path / ".release.partial"
+    kept = sum(json.loads(path.read_text())["episodes"] for path in partial.glob("checkpoint/parts/*.json"))
+    assert bool(kept) == (after > 2)
+    again: list[Episode] = []
+
+    def counts(episode: Episode) -> Prepared:
+        again.append(episode)
+        return prepare(episode)
+
+    monkeypatch.setattr("gym_open.datasets.writer.prepare", counts)
+    assert artefacts.digest(build_release(CONFIG, [log], out).path) == release.digest
+    assert len(again) == len(release.episodes) - kept
+
+
+def test_what_is_damaged_of_a_finished_file_is_written_again(log: Path, release: Release, tmp_path: Path) -> None:
+    out = tmp_path / "release"
+    interrupted(log, out, after=17)
+    data = next((tmp_path / ".release.partial").glob("data/*/file-000.parquet"))
+    data.write_bytes(data.read_bytes()[:-1] + b"?")
+    assert artefacts.digest(build_release(CONFIG, [log], out).path) == release.digest
+
+
+def test_killed_while_the_tables_are_written(log: Path, release: Release, tmp_path: Path) -> None:
+    def killed(*_: object) -> None:
+        raise KilledError
+
+    out = tmp_path / "release"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gym_open.datasets.writer.write_meta", killed)
+        with pytest.raises(KilledError):
+            build_release(CONFIG, [log], out)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gym_open.datasets.build.episodes_of_logs", killed)  # nothing is read again
+        assert artefacts.digest(build_release(CONFIG, [log], out).path) == release.digest
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from gym_open.datasets import papers, writer
+from gym_open.datasets.build import build_release
+from gym_open.datasets.config import ReleaseConfig
+
+prepared = []
+
+def dies(episode):
+    prepared.append(episode)
+    if len(prepared) == 17:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return prepare(episode)
+
+prepare, writer.prepare, papers.draw = writer.prepare, dies, lambda _: {}
+config = ReleaseConfig(data_file_mb=1, max_episode_steps=10, val_fraction=0.34)
+build_release(config, [Path(sys.argv[1])], Path(sys.argv[2]), workers=2)
+"""
+
+
+@pytest.mark.slow
+def test_a_killed_process_loses_nothing_that_was_finished(log: Path, release: Release, tmp_path: Path) -> None:
+    script, out = tmp_path / "killed.py", tmp_path / "release"
+    script.write_text(textwrap.dedent(KILLED))
+    done = subprocess.run([sys.executable, str(script), str(log), str(out)], env=dict(os.environ), check=False)
+    assert done.returncode == -signal.SIGKILL
+    assert not out.exists()
+    assert list((tmp_path / ".release.partial").glob("checkpoint/parts/train-000.json"))
+    assert artefacts.digest(build_release(CONFIG, [log], out).path) == release.digest
+
+
+def test_episodes_of_a_release_are_the_logs(release: Release, log: Path) -> None:
+    from gym_open.formats.logs.reader import open_logs
+
+    segments = {(item.stream, item.index): item for one in open_logs(log) for item in one.segments()}
+    order = np.random.default_rng(0).permutation(len(release.episodes)).tolist()
+    seen = []
+    for number, episode in zip(order, episodes_of_release(release, order), strict=True):
+        row = episode.row
+        assert row == {name: release.episodes[name].iloc[number] for name in row}
+        assert all(type(value) in (int, str, bool) for value in row.values())
+        segment = segments[row["stream"], row["segment"]]
+        first = row["first_step"] - segment.first_step
+        assert np.array_equal(episode.numbers["action.index"][:-1], segment.actions[first : first + row["steps"]])
+        state = segment.object_state[first : first + row["steps"] + 1].reshape(row["steps"] + 1, -1)
+        assert np.array_equal(episode.numbers["observation.environment_state"], state.astype(np.float32))
+        frames = range(
+            release.episodes["dataset_from_index"].iloc[number], release.episodes["dataset_to_index"].iloc[number]
+        )
+        assert episode.pngs == release.pngs(frames)
+        expected = {k.segment_step: k.integration_state for k in segment.keyframes}
+        for keyframe in episode.keyframes:
+            assert keyframe.segment_step == first + keyframe.frame_index
+            assert np.array_equal(keyframe.integration_state, expected[keyframe.segment_step])
+            seen.append((row["stream"], row["segment"], keyframe.segment_step))
+    assert sorted(seen) == sorted((*key, k.segment_step) for key, item in segments.items() for k in item.keyframes)
