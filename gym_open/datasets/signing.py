@@ -139,7 +139,7 @@ def _hint(path: Path) -> str:
 
 
 def _check_whole(root: Path, path: Path) -> None:
-    """Check what model-signing leaves open: parts of the bundle that it does not read, and files that a signer left out.
+    """Check what model-signing leaves open: parts of the bundle that it does not read, files that a signer left out.
 
     Raises:
         ValueError: if the bundle is not byte for byte what its parsed content is written as, or covers too little.

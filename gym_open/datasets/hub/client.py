@@ -1,0 +1,122 @@
+"""What push and pull share: talking to a hub, its tags and files, and what a release says of itself."""
+
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from gym_open.datasets.semver import parse
+from gym_open.errors import ArtefactError, GymOpenError, UsageError
+from gym_open.formats.releases.layout import INFO_PATH
+
+if TYPE_CHECKING:
+    from huggingface_hub import HfApi
+    from huggingface_hub.hf_api import RepoFile
+
+_REPO = re.compile(r"[A-Za-z0-9][\w.-]*/[A-Za-z0-9][\w.-]*", re.ASCII)
+_AGAIN = "run the same command again, it goes on from there"
+
+
+@contextmanager
+def talking(repo: str, endpoint: str | None) -> "Iterator[HfApi]":
+    """A client of the hub; whatever goes wrong between the two becomes an error that says what to do.
+
+    Args:
+        repo: OWNER/NAME, named in errors.
+        endpoint: address of the hub; by default HF_ENDPOINT or huggingface.co.
+
+    Raises:
+        GymOpenError: if the hub cannot be reached, refuses, or answers as no hub does.
+    """
+    from huggingface_hub import HfApi
+
+    api = HfApi(endpoint=endpoint, library_name="gym-open")
+    try:
+        yield api
+    except (OSError, RuntimeError, ValueError, LookupError, TypeError, AttributeError) as error:
+        # the last three are what the client makes of an answer that is not a hub's
+        raise GymOpenError(f"{repo} at {api.endpoint}: {_explained(error)}") from error
+
+
+def _explained(error: Exception) -> str:
+    from huggingface_hub.errors import HfHubHTTPError, LocalEntryNotFoundError, RepositoryNotFoundError
+    from huggingface_hub.errors import OfflineModeIsEnabled as OfflineError
+    from requests import RequestException
+
+    if isinstance(error, RuntimeError) and isinstance(error.__cause__, Exception):
+        error = error.__cause__  # of an upload's thread
+    if isinstance(error, OfflineError):
+        return "HF_HUB_OFFLINE is set: unset it for this command"
+    if isinstance(error, RepositoryNotFoundError):
+        return "no such data set, or your token may not see it; check the name, or log in with `hf auth login`"
+    if isinstance(error, HfHubHTTPError) and error.response is not None:
+        status, said = error.response.status_code, (error.server_message or "").strip()[:300]
+        if status in {401, 403}:
+            return f"refused ({status}): log in with `hf auth login`, or set HF_TOKEN, with the right to write there"
+        return f"answered {status} {said}; {_AGAIN}, later if it is busy"
+    if isinstance(error, RequestException | LocalEntryNotFoundError):
+        return f"cannot be reached ({type(error).__name__}); check the network and --endpoint, then {_AGAIN}"
+    return f"{type(error).__name__}: {str(error)[:300]}; {_AGAIN}"
+
+
+def tags(api: "HfApi", repo: str) -> dict[str, str]:
+    """The commit of each tag of a data set."""
+    return {tag.name: tag.target_commit for tag in api.list_repo_refs(repo, repo_type="dataset").tags}
+
+
+def versions(known: Mapping[str, str]) -> list[tuple[int, int, int]]:
+    """The versions `X.Y.Z` that tags `vX.Y.Z` name, ascending."""
+    return sorted(version for tag in known if tag[:1] == "v" and (version := parse(tag[1:])))
+
+
+def tree(api: "HfApi", repo: str, revision: str) -> "dict[str, RepoFile]":
+    """What a hub says of every file of a revision, by name."""
+    from huggingface_hub.hf_api import RepoFile
+
+    items = api.list_repo_tree(repo, recursive=True, revision=revision, repo_type="dataset")
+    return {item.path: item for item in items if isinstance(item, RepoFile)}
+
+
+def check_repo(repo: str, name: str | None = None) -> None:
+    """Check that `repo` is OWNER/NAME, and if given, that NAME is that of the release `name`.
+
+    Raises:
+        UsageError: if it is not.
+    """
+    if not _REPO.fullmatch(repo):
+        raise UsageError(f"a repository must be OWNER/NAME, got {repo!r}")
+    if name is not None and repo.partition("/")[2] != (own := name.partition("/")[2]):
+        raise UsageError(f"{repo}: the release is called {name}, so its repository must be OWNER/{own}")
+
+
+def verified(root: Path) -> tuple[str, str]:
+    """Name and version of the release at `root`, after every check but the replay.
+
+    Raises:
+        ArtefactError: naming the first file that is not right.
+    """
+    from gym_open.datasets.verify import verify_release
+
+    report = verify_release(root, replay=False)
+    for problem in report.problems:
+        raise ArtefactError(f"{root / problem.file}: {problem.what} (all that is wrong: gym-open dataset verify)")
+    return told(root / INFO_PATH)
+
+
+def told(info: Path) -> tuple[str, str]:
+    """Name and version that a release's `meta/info.json` gives.
+
+    Raises:
+        ArtefactError: if it gives none.
+    """
+    try:
+        ours = msgspec.json.decode(info.read_bytes(), type=dict[str, Any])["gym_open"]
+        name, version = ours["name"], ours["version"]
+    except (OSError, msgspec.DecodeError, RecursionError, KeyError, TypeError) as error:
+        raise ArtefactError(f"{info}: not of a release of gym-open: {error}") from None
+    if not (isinstance(name, str) and _REPO.fullmatch(name) and isinstance(version, str) and parse(version)):
+        raise ArtefactError(f"{info}: expected NAMESPACE/NAME and X.Y.Z as name and version, got {name!r}, {version!r}")
+    return name, version

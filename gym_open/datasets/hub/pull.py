@@ -1,0 +1,154 @@
+"""A version of a release from a hub, verified before it is there."""
+
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from gym_open import artefacts, progress
+from gym_open.artefacts import MANIFEST, SIGNATURE, Entry
+from gym_open.datasets.hub.client import check_repo, tags, talking, told, tree, verified, versions
+from gym_open.datasets.semver import parse
+from gym_open.errors import ArtefactError, GymOpenError, UsageError
+from gym_open.formats.releases.layout import INFO_PATH, belongs
+
+if TYPE_CHECKING:
+    from huggingface_hub import HfApi
+    from huggingface_hub.hf_api import RepoFile
+
+_MAX_UNLISTED = 2**26
+"""Bytes of a manifest or signature, of which no manifest says how large they are."""
+
+
+def pull_release(repo: str, version: str, out: Path, *, send: bool, endpoint: str | None = None) -> Path:
+    """Fetch a version of a release from a hub into `out`, which is whole and verified afterwards or not there.
+
+    Only files that the manifest lists, and the signature, are fetched. What an interrupted pull left in the hidden
+    folder beside `out` is gone on from.
+
+    Args:
+        repo: OWNER/NAME of the data set.
+        version: X.Y.Z: fetched is what the tag `vX.Y.Z` points to.
+        out: folder to make. If it is there with the same bytes, nothing is done.
+        send: without it nothing touches a network.
+        endpoint: address of the hub; by default HF_ENDPOINT or huggingface.co.
+
+    Returns:
+        `out`, made or (without `send`) not.
+
+    Raises:
+        ArtefactError: if there is no such version, what came is not what the manifest says, is no release, or is
+            another one. Nothing of it is kept.
+        UsageError: if the name or version is none, or `out` is something else.
+        GymOpenError: if the hub cannot be reached or refuses. What came so far is kept for the next try.
+    """
+    check_repo(repo)
+    if parse(version) is None:
+        raise UsageError(f"a version must be three numbers, as 1.0.0, got {version!r}")
+    if not send:
+        return out
+    out = out.absolute()
+    with talking(repo, endpoint) as api:
+        known = tags(api, repo)
+        if (commit := known.get(f"v{version}")) is None:
+            there = ", ".join("{}.{}.{}".format(*item) for item in versions(known)) or "none"
+            raise ArtefactError(f"{repo}: no version {version} there; versions: {there}")
+        partial = out.with_name(f".{out.name}.pull.partial")
+        try:
+            _Pull(api, repo, commit, partial, tree(api, repo, commit)).into(out, version)
+        except ArtefactError:
+            shutil.rmtree(partial, ignore_errors=True)  # refused: nothing to go on from
+            raise
+    return out
+
+
+@dataclass(frozen=True)
+class _Pull:
+    """Fetches files of one commit."""
+
+    api: "HfApi"
+    repo: str
+    commit: str
+    folder: Path
+    there: "Mapping[str, RepoFile]"
+    """What the hub says that it has."""
+
+    def into(self, out: Path, version: str) -> None:
+        """Fetch all, verify, and rename the folder to `out`."""
+        self._unlisted(MANIFEST)
+        entries = self._listed()
+        if out.exists():
+            return self._compare(out)
+        needed, free = sum(entry.bytes for entry in entries.values()), shutil.disk_usage(self.folder).free
+        if needed > free:
+            raise GymOpenError(f"{out}: {needed:,} bytes are needed there, {free:,} are free; make room, or give --out")
+        with progress.bar("dataset pull", needed) as bar:
+            self._listed_file(INFO_PATH, entries[INFO_PATH])
+            self._check_told(version)  # before all the rest is fetched
+            for name in sorted(entries):
+                self._listed_file(name, entries[name])
+                bar.advance(entries[name].bytes)
+        if SIGNATURE in self.there:
+            self._unlisted(SIGNATURE)
+        shutil.rmtree(self.folder / ".cache", ignore_errors=True)  # the client's notes for going on
+        verified(self.folder)
+        self.folder.rename(out)
+        return None
+
+    def _fetch(self, name: str) -> None:
+        (self.folder / name).unlink(missing_ok=True)
+        self.api.hf_hub_download(
+            self.repo, name, repo_type="dataset", revision=self.commit, local_dir=self.folder
+        )  # whether it is what it should be is the caller's to ask
+
+    def _unlisted(self, name: str) -> None:
+        """Fetch a file that no manifest lists, if the hub says that it is no larger than it may be."""
+        if name not in self.there:
+            raise ArtefactError(f"{self.repo}: no {name} there: not a release of gym-open")
+        if (size := self.there[name].size) > _MAX_UNLISTED:
+            raise ArtefactError(f"{self.repo}: {name}: {size:,} bytes are too many for a release of gym-open")
+        self._fetch(name)
+
+    def _listed_file(self, name: str, entry: Entry) -> None:
+        """Fetch a file, unless it came in an earlier try."""
+        path = self.folder / name
+        if path.is_file() and artefacts.sha256_file(path) == entry.sha256:
+            return
+        self._fetch(name)
+        if path.stat().st_size != entry.bytes or artefacts.sha256_file(path) != entry.sha256:
+            raise ArtefactError(
+                f"{self.repo}: {name} came with other bytes than {MANIFEST} says; try again or elsewhere"
+            )
+
+    def _listed(self) -> dict[str, Entry]:
+        """The manifest's entries, if a release may hold them all, and the hub says that it has them in these sizes."""
+        try:
+            entries = msgspec.json.decode((self.folder / MANIFEST).read_bytes(), type=dict[str, Entry])
+        except (msgspec.DecodeError, RecursionError) as error:
+            raise ArtefactError(f"{self.repo}: {MANIFEST} is none of a release: {error}") from None
+        for name, entry in entries.items():
+            if not belongs(name) or name in {MANIFEST, SIGNATURE}:
+                raise ArtefactError(f"{self.repo}: {MANIFEST} lists {name!r}, which no release holds; do not trust it")
+            found = self.there[name].size if name in self.there else "none"
+            if found != entry.bytes:
+                raise ArtefactError(f"{self.repo}: {name}: {MANIFEST} says {entry.bytes} bytes, the hub has {found}")
+        if INFO_PATH not in entries:
+            raise ArtefactError(f"{self.repo}: {MANIFEST} does not list {INFO_PATH}: not a release of gym-open")
+        return entries
+
+    def _check_told(self, version: str) -> None:
+        """Check that the release is the one that was asked for, by its own `info.json`."""
+        name, found = told(self.folder / INFO_PATH)
+        if name.partition("/")[2] != self.repo.partition("/")[2] or found != version:
+            raise ArtefactError(f"{self.repo}: its tag v{version} holds {name} {found}; do not trust this source")
+
+    def _compare(self, out: Path) -> None:
+        """Check that what is at `out` already is what the hub's manifest lists."""
+        same = artefacts.sha256_file(self.folder / MANIFEST)
+        shutil.rmtree(self.folder)
+        if not (out / MANIFEST).is_file() or artefacts.digest(out) != same:
+            raise UsageError(f"{out}: exists and is not what the hub has; give another --out or remove it")
+        artefacts.verify(out, "release")
