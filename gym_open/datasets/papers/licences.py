@@ -52,6 +52,5 @@ _TEXTS = {"mit": _MIT, "cc-by-4.0": _CC_BY, "cc0-1.0": _CC0}
 
 
 def licence_text(header: Header) -> str:
-    """The file LICENSE: in full for MIT, else a notice with the address of the licence."""
-    year = f"{header.published[:4]} " if header.published and header.license != "cc0-1.0" else ""
-    return _TEXTS[header.license].format(who=f"{year}the authors of {header.name}")
+    """The file LICENSE: in full for MIT, else a notice with the address of the licence. It is the same in any year."""
+    return _TEXTS[header.license].format(who=f"the authors of {header.name}")
