@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
@@ -139,6 +140,15 @@ def test_any_bound_gives_the_same_pictures(
     assert bounded.take(np.empty((0, 3), dtype=np.int64)).shape == (0, 3, 84, 84, 3)
     if disk:
         assert sum(path.stat().st_size for path in (tmp_path / "cache").iterdir()) == bounded.nbytes
+
+
+def test_pictures_of_a_video_come_out_of_the_cache_as_decoded(log: Path, tmp_path: Path) -> None:
+    config = msgspec.structs.replace(CONFIG, pictures="video")
+    video = open_release(build_release(config, [log], tmp_path / "video").path)
+    every = video.images(range(len(video)))
+    assert np.array_equal(Pictures(video).take(np.arange(len(video))), every)
+    windows = Windows(Pictures(video, limit_bytes=0), "val", 2)
+    assert np.array_equal(windows[3][IMAGE], every[windows.frames(np.array([3]))[0]])
 
 
 @pytest.fixture
