@@ -1,0 +1,55 @@
+"""Releases to verify, and what it takes to damage or forge them."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gym_open import artefacts
+from gym_open.datasets import papers
+from gym_open.datasets.build import build_release
+from gym_open.datasets.config import ReleaseConfig
+from gym_open.datasets.verify import Report, run, verify_release
+
+Reseal = Callable[[Path], None]
+Quick = Callable[[Path], Report]
+
+
+@pytest.fixture(scope="session")
+def made_up(make_log: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A release of made-up play, which does not replay."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(papers, "draw", lambda _: {})  # the figures take longer than all else
+        log = make_log(lengths=((9, 4, 5), (3, 6)), seed=5, reward_parts=("forward",))
+        out = tmp_path_factory.mktemp("made-up") / "open" / "explore" / "1.0.0"
+        return build_release(ReleaseConfig(max_episode_steps=4), [log], out).path
+
+
+@pytest.fixture
+def release(made_up: Path, tmp_path: Path) -> Path:
+    """A copy of it, to be damaged."""
+    return Path(shutil.copytree(made_up, tmp_path / "1.0.0"))
+
+
+@pytest.fixture(scope="session")
+def reseal() -> Reseal:
+    """Makes the manifest anew, as one would who wants to pass for the author: all bytes are those of the manifest."""
+
+    def seal(root: Path) -> None:
+        manifest: dict[str, Any] = {}
+        for path in sorted(root.rglob("*")):
+            name = path.relative_to(root).as_posix()
+            if path.is_file() and not path.is_symlink() and name != artefacts.MANIFEST:
+                manifest[name] = artefacts.Entry(artefacts.sha256_file(path), path.stat().st_size)
+        (root / artefacts.MANIFEST).write_bytes(artefacts.canonical_json(manifest))
+
+    return seal
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> Quick:
+    """Verifies without a replay, and without LeRobot: a process that takes seconds to start."""
+    monkeypatch.setattr(run, "check_lerobot", lambda *_: None)
+    return lambda root: verify_release(root, replay=False)

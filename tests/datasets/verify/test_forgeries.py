@@ -1,0 +1,318 @@
+"""Releases whose every byte and digest is as it says, and which are still not what was played: forged with care."""
+
+import json
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from gym_open.agents.config import ExplorerConfig
+from gym_open.collect import explore
+from gym_open.collect.config import CollectConfig, CurriculumConfig, LogConfig
+from gym_open.collect.explore import collect
+from gym_open.datasets import build, papers
+from gym_open.datasets.build import build_release
+from gym_open.datasets.config import ReleaseConfig
+from gym_open.datasets.sources import Episode, episodes_of_logs
+from gym_open.datasets.verify import Report, run, verify_release
+from gym_open.formats.pictures import encode_png
+from gym_open.formats.releases import IMAGE, open_release
+
+Reseal = Callable[[Path], None]
+EVERY = 8
+"""Steps between two keyframes."""
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Random play: two streams of 24 steps, in segments of 16 and 8."""
+    config = CollectConfig(
+        steps=48, streams=2, rollout=8, pool=2, probe=16, checkpoint_every=8, threads=1, seed=1,
+        explorer=ExplorerConfig(world_model="none", reward="none"),
+        curriculum=CurriculumConfig(rule="interval", interval=16), log=LogConfig(keyframe_every=EVERY),
+    )  # fmt: skip
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(explore, "draw_summary", lambda *_: b"")
+        return collect(config, tmp_path_factory.mktemp("play") / "log").path
+
+
+def made(log: Path, out: Path, *, cap: int = EVERY, forge: Callable[[Episode], Episode] = lambda one: one) -> Path:
+    """A release, all records of it of episodes that `forge` had in its hands first."""
+
+    def forged(*given: Any) -> Iterator[Episode]:
+        return (forge(episode) for episode in episodes_of_logs(*given))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(papers, "draw", lambda _: {})
+        patch.setattr(build, "episodes_of_logs", forged)
+        return build_release(ReleaseConfig(max_episode_steps=cap, val_fraction=0.5), [log], out).path
+
+
+@pytest.fixture(scope="module")
+def root(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return made(log, tmp_path_factory.mktemp("release") / "1.0.0")
+
+
+@pytest.fixture
+def copy(root: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(root, tmp_path / "1.0.0"))
+
+
+@pytest.fixture
+def verify(monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], Report]:
+    monkeypatch.setattr(run, "check_lerobot", lambda *_: None)
+    return verify_release
+
+
+Verify = Callable[[Path], Report]
+
+
+def outcome(report: Report, name: str) -> str:
+    return next(check.outcome for check in report.checks if check.name == name)
+
+
+def test_real_play_is_replayed_to_the_bit(root: Path, verify: Verify) -> None:
+    report = verify(root)
+    assert report.problems == []
+    assert outcome(report, "replay") == "identical (48 steps in 6 windows)"
+    assert "replay: identical (48 steps in 6 windows)" in report.verdict
+    assert report.replayed
+
+
+def test_steps_before_the_first_state_of_an_episode_are_counted(log: Path, tmp_path: Path, verify: Verify) -> None:
+    """Cut every 12 steps, the second piece of a segment of 16 begins 4 steps after the state at 8, and has none."""
+    report = verify(made(log, tmp_path / "1.0.0", cap=12))
+    assert report.problems == []
+    assert outcome(report, "replay").startswith("identical (40 steps in 6 windows, 8 not replayed")
+
+
+def at(row: dict[str, Any], **values: Any) -> bool:
+    return all(row[name] == value for name, value in values.items())
+
+
+def first(change: Callable[[Episode], Episode]) -> Callable[[Episode], Episode]:
+    """Forges the first episode of the first stream alone."""
+    return lambda one: change(one) if at(one.row, stream=0, segment=0, piece=0) else one
+
+
+def one_pixel(one: Episode) -> Episode:
+    assert one.images is not None
+    images = one.images.copy()
+    images[5, 40, 40, 1] ^= 1
+    return msgspec.structs.replace(one, images=images)
+
+
+def one_action(one: Episode) -> Episode:
+    numbers = {name: array.copy() for name, array in one.numbers.items()}
+    action = (int(numbers["action.index"][2]) + 3) % 8 + 1
+    numbers["action.index"][2] = action
+    numbers["action"][2] = np.eye(9)[action]
+    return msgspec.structs.replace(one, numbers=numbers)
+
+
+def one_number(one: Episode) -> Episode:
+    numbers = {name: array.copy() for name, array in one.numbers.items()}
+    numbers["observation.environment_state"][3, 13] += np.float32(0.01)  # the second object, which is not the agent
+    return msgspec.structs.replace(one, numbers=numbers)
+
+
+def one_contact(one: Episode) -> Episode:
+    numbers = {name: array.copy() for name, array in one.numbers.items()}
+    numbers["contact.count"][4] += 1
+    numbers["contact.impulse"][4] += 1
+    return msgspec.structs.replace(one, numbers=numbers)
+
+
+def one_state(one: Episode) -> Episode:
+    """The stored state is a hair off in the place of the agent."""
+    state = one.keyframes[0].integration_state.copy()
+    state[1] += 1e-2
+    return msgspec.structs.replace(one, keyframes=[one.keyframes[0]._replace(integration_state=state)])
+
+
+@pytest.mark.parametrize(
+    ("forge", "words"),
+    [(one_action, "off by"), (one_number, "off by 0.01"), (one_contact, "contacts off in 1 step"),
+     (one_state, "off by")],
+)  # fmt: skip
+def test_what_was_not_played_is_found_by_the_replay_alone(
+    forge: Callable[[Episode], Episode], words: str, log: Path, tmp_path: Path, verify: Verify
+) -> None:
+    report = verify(made(log, tmp_path / "1.0.0", forge=first(forge)))
+    assert [check.name for check in report.checks if check.good is False] == ["replay"]
+    assert "diverged" in outcome(report, "replay") or "problem" in outcome(report, "replay")
+    (problem,) = report.problems
+    assert problem.file.startswith("data/chunk-")
+    assert words in problem.what
+
+
+def test_one_level_of_one_pixel_is_told(log: Path, tmp_path: Path, verify: Verify) -> None:
+    """Within tolerance, as edges are on another processor, but not identical: the report has the pixel."""
+    report = verify(made(log, tmp_path / "1.0.0", forge=first(one_pixel)))
+    assert outcome(report, "replay") == "within tolerance (48 steps in 6 windows)"
+    assert list(report.replayed[1].columns[-1].cells) == ["1"]
+
+
+def edit_table(root: Path, name: str, change: Callable[[pa.Table], pa.Table]) -> None:
+    path = root / name
+    pq.write_table(change(pq.ParquetFile(path).read()), path, compression="snappy", use_dictionary=False)
+
+
+def edit_json(root: Path, name: str, change: Callable[[Any], None]) -> None:
+    value = json.loads((root / name).read_text())
+    change(value)
+    (root / name).write_text(json.dumps(value))
+
+
+def replaced(table: pa.Table, name: str, change: Callable[[list[Any]], list[Any]]) -> pa.Table:
+    place = table.schema.get_field_index(name)
+    field = table.schema.field(name)
+    return table.set_column(place, field, pa.array(change(table.column(name).to_pylist()), field.type))
+
+
+EPISODES, WORLDS = "meta/episodes/chunk-000/file-000.parquet", "meta/worlds/file-000.parquet"
+
+
+def other_statistics(root: Path) -> str:
+    def change(value: Any) -> None:
+        value["observation.state"]["mean"][0] += 1e-3
+
+    edit_json(root, "meta/stats.json", change)
+    return "meta/stats.json"
+
+
+def other_episode_statistics(root: Path) -> str:
+    name = "stats/reward.intrinsic/max"
+    edit_table(root, EPISODES, lambda t: replaced(t, name, lambda rows: [[rows[0][0] + 1], *rows[1:]]))
+    return "statistics of reward.intrinsic"
+
+
+def moved_split(root: Path) -> str:
+    edit_table(root, EPISODES, lambda t: replaced(t, "split", lambda rows: ["val", *rows[1:]]))
+    return "splits"
+
+
+def moved_world(root: Path) -> str:
+    """A whole world's episodes change sides, in all tables."""
+    edit_table(root, EPISODES, lambda t: replaced(t, "split", lambda rows: ["train"] * len(rows)))
+    edit_table(root, WORLDS, lambda t: replaced(t, "split", lambda rows: ["train"] * len(rows)))
+    return "val"
+
+
+def other_picture(root: Path) -> str:
+    """Another pixel, its file's bytes as in the manifest, its content digest left as it was."""
+
+    def change(rows: list[Any]) -> list[Any]:
+        images = open_release(root).images([0])
+        images[0, 0, 0] ^= 1
+        return [{"bytes": encode_png(images[0]), "path": None}, *rows[1:]]
+
+    edit_table(root, "data/chunk-000/file-000.parquet", lambda t: replaced(t, IMAGE, change))
+    return "observation.image is not what its content digest says"
+
+
+def other_padding(root: Path) -> str:
+    """The last frame's action is no more."""
+
+    def change(rows: list[Any]) -> list[Any]:
+        last = rows.index(-1)
+        return [*rows[:last], 3, *rows[last + 1 :]]
+
+    edit_table(root, "data/chunk-000/file-000.parquet", lambda t: replaced(t, "action.index", change))
+    return "action.index is not 0 to 8"
+
+
+def other_frames(root: Path) -> str:
+    edit_table(root, "data/chunk-000/file-000.parquet", lambda t: t.take(pa.array(np.arange(len(t))[::-1])))
+    return "index is not what its place"
+
+
+def other_puzzle(root: Path) -> str:
+    edit_table(root, WORLDS, lambda t: replaced(t, "json", lambda rows: [rows[1], rows[1], *rows[2:]]))
+    return "not of the layout"
+
+
+def evaluation_puzzle(root: Path) -> str:
+    from gym_open.envs.puzzles.sets import puzzle_by_id
+
+    puzzle = puzzle_by_id("goal-seeking/000")
+    edit_table(root, WORLDS, lambda t: replaced(t, "json", lambda rows: [puzzle.to_json().decode(), *rows[1:]]))
+    return "evaluation puzzle"
+
+
+def lost_episode(root: Path) -> str:
+    edit_table(root, EPISODES, lambda t: t.slice(1))
+    return "meta/info.json says"
+
+
+def lost_keyframes(root: Path) -> str:
+    edit_table(root, "meta/keyframes/file-000.parquet", lambda t: t.slice(0, 0))
+    return "meta/keyframes/file-000.parquet"
+
+
+def other_frame_of_keyframe(root: Path) -> str:
+    name = "meta/keyframes/file-000.parquet"
+    edit_table(root, name, lambda t: replaced(t, "frame_index", lambda rows: [rows[0] + 1, *rows[1:]]))
+    return "is not of that episode and frame"
+
+
+def other_switch(root: Path) -> str:
+    name = "meta/switches/file-000.parquet"
+    edit_table(root, name, lambda t: replaced(t, "step", lambda rows: [rows[0], rows[1] + 1, *rows[2:]]))
+    return "no switch"
+
+
+def other_segment(root: Path) -> str:
+    name = "meta/segments/file-000.parquet"
+    edit_table(root, name, lambda t: replaced(t, "steps", lambda rows: [rows[0] + 1, *rows[1:]]))
+    return "is not what its episodes say"
+
+
+def other_croissant(root: Path) -> str:
+    def change(value: Any) -> None:
+        value["distribution"][0]["sha256"] = "0" * 64
+
+    edit_json(root, "croissant.json", change)
+    return "croissant.json"
+
+
+def other_provenance(root: Path) -> str:
+    def change(value: Any) -> None:
+        value["subject"] = value["subject"][1:]
+
+    edit_json(root, "provenance.json", change)
+    return "provenance.json"
+
+
+FORGERIES = (
+    other_statistics, other_episode_statistics, moved_split, moved_world, other_picture, other_padding, other_frames,
+    other_puzzle, evaluation_puzzle, lost_episode, lost_keyframes, other_frame_of_keyframe, other_switch, other_segment,
+    other_croissant, other_provenance,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("forge", FORGERIES)
+def test_what_does_not_fit_together_is_found(
+    forge: Callable[[Path], str], copy: Path, reseal: Reseal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The manifest is made anew each time, so that all bytes are as it says."""
+    monkeypatch.setattr(run, "check_lerobot", lambda *_: None)
+    words = forge(copy)
+    reseal(copy)
+    report = verify_release(copy, replay=False)
+    assert report.checks[0].good, report.problems
+    assert any(words in text for problem in report.problems for text in (problem.file, problem.what)), report.problems
+    assert not any("cannot be checked" in problem.what for problem in report.problems), report.problems
+
+
+@pytest.mark.slow
+def test_lerobot_reads_the_same_frames(root: Path) -> None:
+    report = verify_release(root)
+    assert outcome(report, "readers") == "LeRobot and pandas read the same frames"
+    assert report.good
