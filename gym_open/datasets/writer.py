@@ -23,9 +23,10 @@ from gym_open.datasets.lerobot_files import write_table
 from gym_open.datasets.meta import write_meta
 from gym_open.datasets.papers import Command, write_papers, write_provenance
 from gym_open.datasets.parts import join
+from gym_open.datasets.prepare import Prepared, prepare
 from gym_open.datasets.sources import Episode, Share
 from gym_open.datasets.tables import segments_of_episodes
-from gym_open.datasets.tracks import CONTENT, Place, Prepared, Track, prepare
+from gym_open.datasets.tracks import CONTENT, Place, Track
 from gym_open.datasets.versions import check
 from gym_open.errors import ArtefactError
 from gym_open.formats.pictures import workers as processors
@@ -35,6 +36,7 @@ from gym_open.formats.releases.info import read_info
 from gym_open.formats.releases.layout import (
     DATA_PATHS,
     EPISODES_PATHS,
+    IMAGE,
     SPLITS,
     TABLES,
     VIDEO_PATHS,
@@ -83,6 +85,7 @@ class ReleaseWriter:
                 place = Place(split, share, first, chunk, self._batch)
                 self._tracks[split] = Track(folder, place, described, data_file_mb * 2**20)
                 first, chunk = first.plus(*share), chunk + 1
+        self._video = described[IMAGE]["dtype"] == "video"
         self._tidy()
         threads = workers or processors()
         self._pool = ThreadPoolExecutor(threads)
@@ -112,7 +115,7 @@ class ReleaseWriter:
         track.added += 1
         if track.added <= track.kept:
             return
-        self._waiting.append(self._pool.submit(prepare, episode))
+        self._waiting.append(self._pool.submit(prepare, episode, video=self._video))
         while len(self._waiting) > self._ahead:
             self._write_next()
 

@@ -18,8 +18,8 @@ from gym_open import artefacts
 from gym_open.datasets import Release, open_release
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
+from gym_open.datasets.prepare import Prepared, prepare
 from gym_open.datasets.sources import Episode
-from gym_open.datasets.tracks import Prepared, prepare
 from gym_open.errors import ArtefactError, UsageError
 from gym_open.formats.logs.reader import log_files, open_logs
 from gym_open.formats.logs.schemas import Segment
@@ -210,7 +210,7 @@ def test_episodes_that_are_done_in_another_order_give_the_same_bytes(
 ) -> None:
     order: list[int] = []
 
-    def slowest_first(episode: Episode) -> Prepared:
+    def slowest_first(episode: Episode, *, video: bool) -> Prepared:
         time.sleep(0.02 * (5 - len(order) % 6))
         made = prepare(episode)
         order.append(episode.row["first_step"])

@@ -16,8 +16,8 @@ from gym_open import artefacts
 from gym_open.datasets import Release, open_release
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
+from gym_open.datasets.prepare import Prepared, prepare
 from gym_open.datasets.sources import Episode, episodes_of_release
-from gym_open.datasets.tracks import Prepared, prepare
 
 pytestmark = pytest.mark.usefixtures("no_figures")
 MakeLog = Callable[..., Path]
@@ -42,7 +42,7 @@ def interrupted(log: Path, out: Path, after: int) -> None:
     """Begin a build that dies as it prepares an episode."""
     prepared: list[Episode] = []
 
-    def dies(episode: Episode) -> Prepared:
+    def dies(episode: Episode, *, video: bool) -> Prepared:
         prepared.append(episode)
         if len(prepared) == after:
             raise KilledError
@@ -66,7 +66,7 @@ def test_an_interrupted_build_goes_on(
     assert bool(kept) == (after > 2)
     again: list[Episode] = []
 
-    def counts(episode: Episode) -> Prepared:
+    def counts(episode: Episode, *, video: bool) -> Prepared:
         again.append(episode)
         return prepare(episode)
 
@@ -106,7 +106,7 @@ from gym_open.datasets.config import ReleaseConfig
 
 prepared = []
 
-def dies(episode):
+def dies(episode, *, video):
     prepared.append(episode)
     if len(prepared) == 17:
         os.kill(os.getpid(), signal.SIGKILL)

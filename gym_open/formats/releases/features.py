@@ -55,16 +55,32 @@ def features(
     }
     names = [f"{name}.{field}" for name in object_names for field in STATE_FIELDS]
     return {
-        IMAGE: {
-            "dtype": "image" if pictures == "png" else "video",
-            "shape": [IMAGE_SIZE, IMAGE_SIZE, 3],
-            "names": ["height", "width", "channels"],
-        },
+        IMAGE: _picture(pictures),
         "observation.state": _vector(STATE_FIELDS),
         "observation.environment_state": _vector(names),
         "action": _vector(ACTION_NAMES),
         **{name: {"dtype": dtype, "shape": [1], "names": None} for name, dtype in scalars.items()},
     }
+
+
+def _picture(kind: Literal["png", "video"]) -> dict[str, Any]:
+    described = {"shape": [IMAGE_SIZE, IMAGE_SIZE, 3], "names": ["height", "width", "channels"]}
+    if kind == "png":
+        return {"dtype": "image", **described}
+    coding = {
+        "codec": "h264",
+        "pix_fmt": "gbrp",
+        "fps": fps(),
+        "height": IMAGE_SIZE,
+        "width": IMAGE_SIZE,
+        "channels": 3,
+    }
+    info = {
+        **{f"video.{name}": value for name, value in coding.items()},
+        "video.is_depth_map": False,
+        "has_audio": False,
+    }
+    return {"dtype": "video", **described, "info": info}
 
 
 def _vector(names: Sequence[str]) -> dict[str, Any]:

@@ -29,6 +29,14 @@ _DAY = Annotated[str, Meta(pattern=r"^(\d{4}-\d\d-\d\d)?$", max_length=10)]
 _THING = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_:.-]+$", max_length=100)]
 
 
+class _VideoError(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Of all pixels against the logged ones, in levels of 255; PSNR in dB, none if there is no error."""
+
+    mean: Annotated[float, Meta(ge=0, le=255)]
+    max: Annotated[float, Meta(ge=0, le=255)]
+    psnr: Annotated[float, Meta(ge=0, le=1000)] | None
+
+
 class Ours(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What is our own in `meta/info.json`."""
 
@@ -43,6 +51,7 @@ class Ours(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     objects: Annotated[list[_THING], Meta(min_length=1, max_length=1000)]
     pictures: Literal["png", "video"]
     batches: Annotated[int, Meta(ge=1, le=MAX_FILES)]
+    video_error: _VideoError | msgspec.UnsetType = msgspec.UNSET
 
 
 class _Info(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -124,8 +133,8 @@ def _check(path: Path, info: _Info) -> None:
                 f"{path}: feature {name!r} must be {described.get(name)!r} for these objects and pictures, got "
                 f"{str(info.features.get(name))[:200]}; build the release again"
             )
-    if info.total_episodes * 2 > info.total_frames:
+    if info.total_episodes > info.total_frames:
         raise ArtefactError(
-            f"{path}: {info.total_episodes:,} episodes of at least two frames do not go into "
+            f"{path}: {info.total_episodes:,} episodes of at least one frame do not go into "
             f"{info.total_frames:,} frames; build the release again"
         )
