@@ -63,7 +63,7 @@ def push_release(root: Path, repo: str, *, send: bool, endpoint: str | None = No
                     "changed: give the release a higher version, or another repository"
                 )
         else:
-            if versions(known)[-1:] > [parse(version)]:
+            if known and versions({**known, f"v{version}": ""})[-1] != parse(version):
                 raise UsageError(
                     f"{repo}: a version above {version} is there already; versions are pushed in their order"
                 )

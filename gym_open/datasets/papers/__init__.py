@@ -35,15 +35,14 @@ def write_papers(
         config: all that decided it.
         command: what makes it.
         previous: the release that this one follows, or takes over.
-        parents: artefacts that it is made of, `previous` included: logs first, then releases.
+        parents: artefacts that it is made of, `previous` included, last: logs first, then releases.
 
     Raises:
         ArtefactError: if `previous` is not readable.
     """
     facts = gather(release)
     releases = [path for path in parents if artefacts.lineage(path).kind == "release"]
-    before = previous.root.absolute() if previous else None
-    sources = [path for path in releases if path.absolute() != before]
+    sources = releases[:-1] if previous else releases
     newest = max((log.batch for log in facts.logs), default=0)
     logs = [log for log in facts.logs if log.batch == newest] if command in {"build", "append"} else []
     papers = {

@@ -1,0 +1,164 @@
+"""Releases made of episodes of other releases: what `merge` and `filter` share.
+
+PNG files and numbers are taken over as they are. Streams are numbered anew, in their order, and so are logs; rows of
+our tables come along with the streams that are kept.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+
+from gym_open import artefacts, progress
+from gym_open.datasets.config import FilterConfig, MergeConfig
+from gym_open.datasets.sources import Episode, Share, episodes_of_release
+from gym_open.datasets.splits import unit_of
+from gym_open.datasets.versions import latest_below
+from gym_open.datasets.writer import ReleaseWriter, complete
+from gym_open.errors import UsageError
+from gym_open.formats.releases import Release, open_release
+from gym_open.formats.releases.layout import SPLITS, Split, Table
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+class Kept(msgspec.Struct, frozen=True, eq=False):
+    """What of a release goes into another."""
+
+    release: Release
+    numbers: np.ndarray
+    """Of the episodes, ascending."""
+    streams: Mapping[int, int]
+    """New number of each stream that is kept."""
+    logs: Mapping[int, int]
+    """New number of the log of each stream, by the stream's old number."""
+    splits: Mapping[str, Split]
+    """Split of each layout in the new release; empty if splits go by stream, where they stay as they are."""
+
+    @property
+    def rows(self) -> "pd.DataFrame":
+        """Rows of `meta/episodes`, splits as they will be."""
+        rows = self.release.episodes.iloc[self.numbers]
+        return rows.assign(split=rows["puzzle"].map(self.splits)) if self.splits else rows
+
+    @property
+    def shares(self) -> dict[Split, Share]:
+        """How many episodes and frames each split gets."""
+        groups = self.rows.groupby("split")["length"]
+        return {split: Share(int(groups.count().get(split, 0)), int(groups.sum().get(split, 0))) for split in SPLITS}
+
+    def episodes(self) -> Iterator[Episode]:
+        """The episodes, with the numbers and splits that they get."""
+        for episode in episodes_of_release(self.release, self.numbers.tolist()):
+            row = {**episode.row, "stream": self.streams[episode.row["stream"]]}
+            row["split"] = self.splits.get(row["puzzle"], row["split"])
+            yield msgspec.structs.replace(episode, row=row)
+
+    def table(self, name: Table) -> pa.Table:
+        """Rows of `streams`, `worlds` or `switches` of the streams that are kept."""
+        table = self.release.arrow_table(name)
+        old = table["stream"].to_numpy()
+        table = table.filter(pa.array(np.isin(old, list(self.streams))))
+        old = table["stream"].to_pylist()
+        columns: dict[str, list[Any]] = {"stream": [self.streams[stream] for stream in old]}
+        if name == "streams":
+            columns["log"] = [self.logs[stream] for stream in old]
+        if name == "worlds" and self.splits:
+            known = zip(table["puzzle"].to_pylist(), table["split"].to_pylist(), strict=True)
+            columns["split"] = [split and self.splits.get(puzzle, split) for puzzle, split in known]
+        for column, values in columns.items():
+            place = table.schema.get_field_index(column)
+            table = table.set_column(place, table.schema.field(place), pa.array(values, table.schema.field(place).type))
+        return table
+
+
+def derive(
+    config: MergeConfig | FilterConfig, command: Literal["merge", "filter"], out: Path,
+    chosen: Sequence[tuple[Release, np.ndarray]], *, workers: int | None, replace: bool,
+) -> artefacts.Outcome:  # fmt: skip
+    """Make the release `out` of chosen episodes (their numbers, ascending) of releases of the same features and rules.
+
+    Raises:
+        ArtefactError: if a release is damaged, or the version says other than what was changed since the one before.
+        UsageError: if `out` was made of other inputs and `replace` is false, or a release keeps its pictures as video.
+    """
+    releases = [release for release, _ in chosen]
+    for release in releases:
+        if release.info["gym_open"]["pictures"] == "video":
+            raise UsageError(
+                f"{release.root}: its pictures are video, which would lose more if it were coded again; build a "
+                "release of the logs, or take one whose pictures are PNG files"
+            )
+    previous = latest_below(out, config.version)
+    parents = [*(release.root for release in releases), *([previous] if previous else [])]
+
+    def work(folder: Path) -> Mapping[str, Any]:
+        facts = _write(config, _kept(chosen), folder, workers)
+        complete(folder, config, command, open_release(previous) if previous else None, parents)
+        return facts
+
+    return artefacts.build(out, kind="release", config=config, parents=parents, work=work, replace=replace)
+
+
+def _kept(chosen: Sequence[tuple[Release, np.ndarray]]) -> list[Kept]:
+    """Number streams and logs through all releases; a layout that is in val anywhere is in val everywhere."""
+    splits: dict[str, Split] = {}
+    if chosen[0][0].info["gym_open"]["split_by"] == "world":
+        for release, _ in chosen:
+            for puzzle, split in release.episodes[["puzzle", "split"]].drop_duplicates().itertuples(index=False):
+                splits[puzzle] = "val" if "val" in {split, splits.get(puzzle)} else "train"
+    found: list[Kept] = []
+    streams, logs = 0, 0
+    for release, numbers in chosen:
+        left_out = set(release.episodes["stream"]) - set(release.episodes["stream"].iloc[numbers])
+        table = release.table("streams")
+        kept = [row for row in table.to_dict("records") if row["stream"] not in left_out]
+        batches = dict(zip(release.episodes["stream"], release.episodes["meta/episodes/file_index"], strict=True))
+        places = [(batches.get(row["stream"], 0), row["log"]) for row in kept]
+        order = {place: logs + i for i, place in enumerate(dict.fromkeys(places))}
+        found.append(
+            Kept(
+                release=release,
+                numbers=numbers,
+                streams={row["stream"]: streams + i for i, row in enumerate(kept)},
+                logs={row["stream"]: order[place] for row, place in zip(kept, places, strict=True)},
+                splits=splits,
+            )
+        )
+        streams, logs = streams + len(kept), logs + len(order)
+    return found
+
+
+def _write(
+    config: MergeConfig | FilterConfig, sources: Sequence[Kept], folder: Path, workers: int | None
+) -> dict[str, Any]:
+    """Write data and meta and return the facts."""
+    info = sources[0].release.info
+    split_by = info["gym_open"]["split_by"]
+    shares: dict[Split, Share] = {split: Share() for split in SPLITS}
+    val: set[str] = set()
+    for source in sources:
+        shares = {split: shares[split].plus(*source.shares[split]) for split in SPLITS}
+        held = source.rows.query("split == 'val'")[["stream", "puzzle"]].drop_duplicates()
+        val |= {unit_of(split_by, source.streams[stream], puzzle) for stream, puzzle in held.itertuples(index=False)}
+    ours = {name: info["gym_open"][name] for name in ("split_by", "max_episode_steps", "pictures")}
+    with (
+        ReleaseWriter(
+            folder, config, info["features"], shares,
+            ours={**ours, "val": sorted(val)}, data_file_mb=config.data_file_mb, workers=workers,
+        ) as writer,
+        progress.bar("dataset", sum(int(source.rows["steps"].sum()) for source in sources)) as bar,
+    ):  # fmt: skip
+        for source in sources:
+            if writer.skip(source.shares):
+                bar.advance(int(source.rows["steps"].sum()))
+                continue
+            for episode in source.episodes():
+                writer.add(episode)
+                bar.advance(episode.row["steps"])
+        names: tuple[Table, ...] = ("streams", "worlds", "switches")
+        return writer.close({name: pa.concat_tables(source.table(name) for source in sources) for name in names})

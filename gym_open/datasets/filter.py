@@ -1,0 +1,84 @@
+"""Some episodes of a release become one of their own: `filter_release(config, release, out)`."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from gym_open import artefacts
+from gym_open.datasets.config import FilterConfig
+from gym_open.datasets.derived import derive
+from gym_open.datasets.papers.facts import X_EDGES, Y_EDGES
+from gym_open.errors import UsageError
+from gym_open.formats.releases import Release, open_release
+
+
+def filter_release(
+    config: FilterConfig, release: Path, out: Path, *, workers: int | None = None, replace: bool = False
+) -> artefacts.Outcome:
+    """Make the release `out` of the episodes of `release` that meet all conditions of `config`.
+
+    Of the values of one condition, any will do. Splits stay what they are.
+
+    Args:
+        config: the conditions, and name, version and so on of the result.
+        release: folder of a release; it becomes the parent.
+        out: folder of the result; versions of one release are siblings called X.Y.Z.
+        workers: threads; all processors if not given.
+        replace: set aside what stands at `out` if it was made of other inputs, rather than refuse.
+
+    Raises:
+        ArtefactError: if the release is damaged, or the version says other than what was changed since the one before.
+        UsageError: if it has no such explorer, world or split, or no episode meets all conditions.
+    """
+    opened = open_release(release)
+    return derive(config, "filter", out, [(opened, _chosen(config, opened))], workers=workers, replace=replace)
+
+
+def _chosen(config: FilterConfig, release: Release) -> np.ndarray:
+    """Numbers of the episodes that meet all conditions, ascending."""
+    rows = release.episodes
+    meets = np.ones(len(rows), dtype=bool)
+    for name, wanted in (("explorer", config.explorer), ("split", config.split)):
+        for value in wanted:
+            if value not in set(rows[name]):
+                raise UsageError(
+                    f"{release.root}: no {name} {value!r} there; it has {', '.join(sorted(set(rows[name])))}"
+                )
+        if wanted:
+            meets &= rows[name].isin(wanted).to_numpy()
+    if config.world:
+        meets &= rows["puzzle"].isin(_worlds(config, release)).to_numpy()
+    if config.min_contact or config.min_coverage:
+        meets[meets] = [
+            contact >= config.min_contact and coverage >= config.min_coverage
+            for contact, coverage in _measured(release, np.flatnonzero(meets))
+        ]
+    if not meets.any():
+        raise UsageError(f"{release.root}: none of its {len(rows):,} episodes meets all conditions; ask for less")
+    return np.flatnonzero(meets)
+
+
+def _worlds(config: FilterConfig, release: Release) -> set[str]:
+    """Digests of the layouts that `config.world` names, by their beginnings."""
+    there = sorted(set(release.episodes["puzzle"]))
+    found: set[str] = set()
+    for beginning in config.world:
+        named = {digest for digest in there if digest.startswith(beginning)}
+        if not named:
+            some = ", ".join(digest[:12] for digest in there[:5]) + (" …" if len(there) > 5 else "")
+            raise UsageError(f"{release.root}: no world {beginning!r} was played; it has {len(there):,}: {some}")
+        found |= named
+    return found
+
+
+def _measured(release: Release, episodes: np.ndarray) -> Iterator[tuple[float, float]]:
+    """Of each episode: share of the steps with a contact of the agent, share of the table's cells that it was in."""
+    cells = (len(X_EDGES) - 1) * (len(Y_EDGES) - 1)
+    rows = release.episodes
+    for number in episodes:
+        frames = release.numbers(int(rows["dataset_from_index"][number]), int(rows["dataset_to_index"][number]))
+        touching = frames["contact.agent"][frames["transition.valid"]] > 0
+        x, y = frames["observation.state"][:, :2].T
+        visited = np.histogram2d(x, y, bins=(X_EDGES, Y_EDGES))[0] > 0
+        yield float(touching.mean()) if touching.size else 0.0, visited.sum() / cells

@@ -1,0 +1,138 @@
+"""A filter takes the episodes that meet every condition, as they are, and nothing else."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gym_open import artefacts
+from gym_open.datasets import Release, open_release
+from gym_open.datasets.build import build_release
+from gym_open.datasets.config import FilterConfig, MergeConfig, ReleaseConfig
+from gym_open.datasets.filter import filter_release
+from gym_open.datasets.merge import merge_releases
+from gym_open.datasets.verify import verify_release
+from gym_open.envs.constants import WALL_X, WALL_Y
+from gym_open.errors import UsageError
+from gym_open.formats.releases.content import EPISODE_FACTS, episode_digest
+
+pytestmark = pytest.mark.usefixtures("no_figures")
+MakeLog = Callable[..., Path]
+
+
+@pytest.fixture(scope="module")
+def logs(make_log: MakeLog) -> dict[str, Path]:
+    return {
+        "curl": make_log(lengths=((5, 9, 3), (6, 2, 4)), seed=1, explorer={"world_model": "curl", "reward": "ride"}),
+        "unknown": make_log(lengths=((2, 8, 5),), seed=2),
+    }
+
+
+@pytest.fixture(scope="module")
+def release(logs: dict[str, Path], no_figures: None, tmp_path_factory: pytest.TempPathFactory) -> Release:
+    config = ReleaseConfig(max_episode_steps=3)
+    out = tmp_path_factory.mktemp("release") / "1.0.0"
+    return open_release(build_release(config, list(logs.values()), out).path)
+
+
+def taken(release: Release, out: Path, **conditions: Any) -> Release:
+    config = FilterConfig(name="open/some", **conditions)
+    return open_release(filter_release(config, release.root, out).path)
+
+
+def content(release: Release) -> list[str]:
+    """Digests of the episodes, whatever they are numbered."""
+    facts = release.episodes[list(EPISODE_FACTS)].to_dict("records")
+    features = release.table("content").drop(columns="episode_index").to_dict("records")
+    return [episode_digest(*pair) for pair in zip(features, facts, strict=True)]
+
+
+def expected(release: Release, meets: np.ndarray) -> list[str]:
+    assert 0 < meets.sum() < len(meets)
+    return [digest for digest, good in zip(content(release), meets, strict=True) if good]
+
+
+def frames(release: Release, name: str) -> list[np.ndarray]:
+    """A feature of each episode, read with pandas' own order."""
+    values = release.column(name)
+    spans = zip(release.episodes["dataset_from_index"], release.episodes["dataset_to_index"], strict=True)
+    return [values[first:stop] for first, stop in spans]
+
+
+def test_by_explorer_split_and_world(release: Release, tmp_path: Path) -> None:
+    rows = release.episodes
+    icm = taken(release, tmp_path / "icm/1.0.0", explorer=("curl+ride",))
+    assert content(icm) == expected(release, (rows["explorer"] == "curl+ride").to_numpy())
+    assert icm.table("streams")["stream"].tolist() == [0, 1]
+    assert set(icm.table("switches")["stream"]) == set(icm.table("worlds")["stream"]) == {0, 1}
+    val = taken(release, tmp_path / "val/1.0.0", split=("val",))
+    assert content(val) == expected(release, (rows["split"] == "val").to_numpy())
+    assert val.info["splits"] == {"val": f"0:{len(val.episodes)}"}
+    one, two = sorted(set(rows["puzzle"]))[:2]
+    worlds = taken(release, tmp_path / "worlds/1.0.0", world=(one[:8], two))
+    assert content(worlds) == expected(release, rows["puzzle"].isin([one, two]).to_numpy())
+    both = taken(release, tmp_path / "both/1.0.0", world=(one[:8], two), explorer=("unknown",), split=("train", "val"))
+    assert content(both) == expected(
+        release, (rows["puzzle"].isin([one, two]) & (rows["explorer"] == "unknown")).to_numpy()
+    )
+
+
+def test_by_contact(release: Release, tmp_path: Path) -> None:
+    touching = [episode[:-1].astype(bool).mean() for episode in frames(release, "contact.agent")]
+    some = taken(release, tmp_path / "1.0.0", min_contact=0.6)
+    assert content(some) == expected(release, np.array(touching) >= 0.6)
+
+
+def test_by_coverage(release: Release, tmp_path: Path) -> None:
+    side = 0.05
+    cells = 2 * np.ceil(WALL_X / side) * 2 * np.ceil(WALL_Y / side)
+    shares = []
+    for state in frames(release, "observation.state"):
+        x, y = state[:, 0], state[:, 1]
+        inside = (abs(x) <= np.ceil(WALL_X / side) * side) & (abs(y) <= np.ceil(WALL_Y / side) * side)
+        places = {(int(i), int(j)) for i, j in np.floor(np.stack([x, y], axis=1)[inside] / side)}
+        shares.append(len(places) / cells)
+    limit = float(np.unique(shares)[1])
+    some = taken(release, tmp_path / "1.0.0", min_coverage=limit)
+    assert content(some) == expected(release, np.array(shares) >= limit)
+
+
+def test_a_filter_that_keeps_all_has_the_parents_content(release: Release, tmp_path: Path) -> None:
+    kept = taken(release, tmp_path / "1.0.0", explorer=("unknown", "curl+ride"))
+    facts = [artefacts.lineage(item.root).facts["content"] for item in (kept, release)]
+    assert facts[0] == facts[1]
+    assert [parent.digest for parent in artefacts.lineage(kept.root).parents] == [release.digest]
+
+
+def test_a_part_of_a_merge_is_what_was_merged(logs: dict[str, Path], tmp_path: Path) -> None:
+    built = [
+        build_release(ReleaseConfig(max_episode_steps=3), [log], tmp_path / f"{name}/1.0.0").path
+        for name, log in logs.items()
+    ]
+    merged = merge_releases(MergeConfig(name="open/both"), built[::-1], tmp_path / "both/1.0.0").path
+    icm = taken(open_release(merged), tmp_path / "part/1.0.0", explorer=("curl+ride",))
+    assert content(icm) == content(open_release(built[0]))
+    facts = [artefacts.lineage(path).facts["content"] for path in (icm.root, built[0])]
+    assert facts[0] == facts[1]
+
+
+def test_what_is_left_verifies_even_with_holes(
+    release: Release, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gym_open.datasets.verify.run.check_lerobot", lambda *_: None)
+    for conditions in ({"min_contact": 0.6}, {"explorer": ("unknown",)}, {"split": ("val",)}):
+        kept = taken(release, tmp_path / f"{next(iter(conditions))}/1.0.0", **conditions)
+        assert verify_release(kept.root, replay=False).problems == []
+
+
+def test_what_is_not_there_is_named(release: Release, tmp_path: Path) -> None:
+    for conditions, what in (
+        ({"explorer": ("rnd",)}, r"no explorer 'rnd' there; it has curl\+ride, unknown"),
+        ({"world": ("ffffffffffff",)}, "no world 'ffffffffffff' was played"),
+        ({"min_contact": 1.0, "min_coverage": 1.0}, "meets all conditions"),
+    ):
+        with pytest.raises(UsageError, match=what):
+            taken(release, tmp_path / "out/1.0.0", **conditions)
+    assert not (tmp_path / "out").exists()
