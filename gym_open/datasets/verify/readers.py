@@ -14,8 +14,8 @@ from gym_open.formats.releases.layout import IMAGE, data_path
 from gym_open.formats.releases.reader import Release
 
 _LIMIT_S = 900
-_VIDEO_LEVELS = 2
-"""How far another conversion from YUV may be off."""
+_ROUNDING = 0.01
+"""Levels by which a picture of 0 to 1 in float32 may be off, times 255."""
 
 
 def chosen(release: Release) -> list[int]:
@@ -49,7 +49,6 @@ def check_lerobot(release: Release, findings: Findings) -> None:
 
 
 def _compare(release: Release, found: dict[str, np.ndarray], episodes: list[int], findings: Findings) -> None:
-    exact = release.info["features"][IMAGE]["dtype"] == "image"
     for episode in episodes:
         row = release.episodes.iloc[episode]
         first, stop = int(row["dataset_from_index"]), int(row["dataset_to_index"])
@@ -62,7 +61,7 @@ def _compare(release: Release, found: dict[str, np.ndarray], episodes: list[int]
             theirs = found[f"{episode}/{place}/{IMAGE}"].transpose(1, 2, 0) * 255
             off = np.abs(theirs - picture).max()
             findings.expect(
-                bool(off <= (0.01 if exact else _VIDEO_LEVELS)), file,
+                bool(off <= _ROUNDING), file,
                 f"LeRobot's {place} picture of episode {episode} is off by {off:.3g} levels",
             )  # fmt: skip
             for name, array in values.items():

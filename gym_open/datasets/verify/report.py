@@ -97,7 +97,8 @@ def verdict_of(checks: list[Check], problems: list[Problem], count: int) -> str:
         return printable(
             f"NOT as it should be: {count:,} problem(s) in {len(files):,} file(s); first {first.file}: {first.what}"
         ).replace("\n", " ")
-    return "; ".join(f"{check.name}: {check.outcome}" for check in checks)
+    said = {check.name: check.outcome for check in checks}
+    return f"as it should be: {said['structure']}; {printable(said['signature'])}; replay: {said['replay']}"
 
 
 def _table(title: str, columns: tuple[str, ...]) -> Table:

@@ -127,7 +127,7 @@ class _Verification:
             check_episodes(release, self._findings)
             check_info(release, self._findings)
             check_tables(release, self._findings)
-        return f"{len(release.episodes):,} episodes, {len(release):,} frames fit together"
+        return f"{len(release.episodes):,} episodes, {len(release):,} frames"
 
     def _papers(self) -> str:
         return check_papers(self._root, self._findings)

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from av.video.stream import VideoStream
 
 CODEC = "h264"
-_PIXELS = ("yuv420p", "yuv444p", "gbrp", "yuvj420p", "yuvj444p")
+_PIXELS = "gbrp"
+"""RGB, coded without loss."""
 _REMEDY = "it is damaged or not of gym-open; get the release anew"
 
 
@@ -79,10 +80,10 @@ def _stream(path: Path, container: "InputContainer") -> "VideoStream":
         raise ArtefactError(f"{path}: expected one stream, of video, got {len(container.streams)}; {_REMEDY}")
     (stream,) = container.streams.video
     context = stream.codec_context
-    found = (context.name, context.width, context.height, context.pix_fmt in _PIXELS)
-    if found != (CODEC, IMAGE_SIZE, IMAGE_SIZE, True) or not stream.average_rate or not stream.time_base:
+    found = (context.name, context.width, context.height, context.pix_fmt)
+    if found != (CODEC, IMAGE_SIZE, IMAGE_SIZE, _PIXELS) or not stream.average_rate or not stream.time_base:
         raise ArtefactError(
-            f"{path}: expected {CODEC} of {IMAGE_SIZE}×{IMAGE_SIZE} pixels, got {context.name} of "
+            f"{path}: expected {CODEC} of {IMAGE_SIZE}×{IMAGE_SIZE} pixels ({_PIXELS}), got {context.name} of "
             f"{context.width}×{context.height} ({context.pix_fmt}); {_REMEDY}"
         )
     context.thread_count = 1
