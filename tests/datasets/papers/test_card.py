@@ -1,0 +1,164 @@
+"""The card says what is in the data, and nothing in the data can write on it."""
+
+import re
+import sys
+
+import markdown_it
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gym_open.datasets import Release
+from gym_open.datasets.papers.card_text import MEANINGS
+from gym_open.datasets.papers.facts import gather
+from gym_open.datasets.papers.markdown import plain, table
+
+
+@pytest.fixture(scope="module")
+def text(release: Release) -> str:
+    return (release.root / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def front(text: str) -> dict:
+    return yaml.safe_load(text.split("---\n")[1])
+
+
+def cells(text: str, heading: str) -> list[list[str]]:
+    """Rows of the first table after some text."""
+    lines = text[text.index(heading) :].splitlines()
+    first = next(i for i, line in enumerate(lines) if line.startswith(("| ---", "|---")))
+    rows = []
+    for line in lines[first + 1 :]:
+        if not line.startswith("|"):
+            break
+        rows.append([cell.strip() for cell in line.strip("|").split("|")])
+    return rows
+
+
+def test_front_matter_is_the_hubs(front: dict, release: Release) -> None:
+    from huggingface_hub import DatasetCardData
+
+    assert front["license"] == "mit"
+    assert front["size_categories"] == ["n<1K"]
+    assert "LeRobot" in front["tags"]
+    assert DatasetCardData(**front).to_dict()["configs"] == front["configs"]
+
+
+def test_splits_of_the_card_are_those_of_the_data(front: dict, release: Release) -> None:
+    frames = pd.read_parquet(release.root / "data", columns=["index", "episode_index"])
+    wanted = frames.merge(release.episodes[["episode_index", "split"]], on="episode_index")
+    (config,) = front["configs"]
+    for item in config["data_files"]:
+        files = [path for pattern in item["path"] for path in release.root.glob(pattern)]
+        found = pd.concat([pd.read_parquet(path, columns=["index"]) for path in sorted(files)])
+        assert sorted(found["index"]) == sorted(wanted[wanted["split"] == item["split"]]["index"])
+    assert [item["split"] for item in config["data_files"]] == ["train", "val"]
+
+
+def test_counts_are_those_of_pandas(text: str, release: Release) -> None:
+    frames = pd.read_parquet(release.root / "data").merge(release.episodes, on="episode_index")
+    steps = frames[frames["transition.valid"]]
+    for row in cells(text, "## Splits"):
+        own = release.episodes[release.episodes["split"] == row[0]]
+        counts = [len(own), own["length"].sum(), own["steps"].sum(), own["puzzle"].nunique()]
+        assert [int(cell) for cell in row[1:]] == counts
+    played = {row[0]: row for row in cells(text, "## Statistics")}
+    assert sorted(played) == ["icm", "random"]
+    for name, row in played.items():
+        own = steps[steps["explorer"] == name]
+        assert row[5] == f"{(own['contact.agent'] > 0).mean():.1%}"
+    for row in cells(text, "Actions, as a share"):
+        own = steps[steps["explorer"] == row[0]]
+        shares = own["action.index"].value_counts(normalize=True).reindex(range(9), fill_value=0)
+        assert row[1:] == [f"{share:.1%}" for share in shares]
+    for row in cells(text, "What explorers thought"):
+        values = steps[steps["explorer"] == row[0]][row[1].strip("`")]
+        values = values[np.isfinite(values)].astype(float)
+        assert row[2:6] == [f"{x:.4g}" for x in (values.min(), values.median(), values.mean(), values.max())]
+
+
+def test_what_an_explorer_does_not_have_is_left_out(text: str) -> None:
+    rows = {(row[0], row[1]) for row in cells(text, "What explorers thought")}
+    assert ("icm", "`reward_part.forward`") in rows
+    assert ("icm", "`world_model.loss`") in rows
+    assert not {("random", "`reward_part.forward`"), ("random", "`world_model.loss`")} & rows
+
+
+def test_visits_are_counted_once_a_frame(release: Release) -> None:
+    facts = gather(release)
+    inside = np.abs(release.column("observation.state")[:, :2]) < (0.65, 1.15)
+    assert sum(one.visits.sum() for one in facts.played) == inside.all(axis=1).sum()
+
+
+def test_every_feature_is_explained(text: str, release: Release) -> None:
+    rows = cells(text, "## What is in it")
+    assert [row[0].strip("`") for row in rows] == list(release.info["features"])
+    assert all(row[3] for row in rows)
+    assert set(MEANINGS) - set(release.info["features"]) == {"reward_part"}
+
+
+def test_figures_and_files_that_the_card_names_are_there(text: str, release: Release) -> None:
+    named = re.findall(r"\]\((figures/[^)]+)\)", text)
+    assert len(named) == 4
+    for name in [*named, "rebuild/rebuild.sh", "croissant.json", "provenance.json", "meta/digests.json"]:
+        assert (release.root / name).is_file()
+
+
+def test_no_date_no_path(text: str, release: Release) -> None:
+    assert "2026" not in text
+    assert str(release.root.parent) not in text
+    assert "/tmp" not in text
+
+
+@pytest.mark.slow
+def test_the_code_on_the_card_runs(text: str, release: Release, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HF_DATASETS_OFFLINE", "1")
+    monkeypatch.setattr("warnings.filters", [])
+    (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    names: dict = {}
+    exec(code.replace("PATH/TO/THIS/FOLDER", str(release.root)), names)
+    assert len(names["dataset"]) == len(release)
+    assert len(names["train"]) == len(release.split("train"))
+    assert len(names["table"]) == len(release)
+    assert names["windows"]
+    assert "lerobot" in sys.modules
+
+
+HOSTILE = [
+    "[click](https://evil.example)",
+    "![x](https://evil.example/x.png)",
+    "<img src=x onerror=alert(1)>",
+    "a | b\n\n# heading",
+    "`code` **bold** ~~gone~~ $x$",
+    "https://evil.example www.evil.example me@evil.example",
+    "\x1b[2J\u202e",
+    "&lt;script&gt;",
+]
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+def test_hostile_text_is_only_text(text: str) -> None:
+    assert only_text(text)
+
+
+@given(st.text(max_size=60))
+def test_any_text_is_only_text(text: str) -> None:
+    assert only_text(text)
+
+
+def only_text(text: str) -> bool:
+    """Whether a table with this text in a cell is a table of two rows whose cell holds plain text alone."""
+    rendered = markdown_it.MarkdownIt("gfm-like", {"linkify": False}).parse(table(["name", "n"], [[plain(text), "1"]]))
+    inline = [token for token in rendered if token.type == "inline"]
+    kinds = {child.type for token in inline for child in token.children or []}
+    return len(inline) == 4 and kinds <= {"text", "text_special"}
+
+
+def test_text_is_cut_and_bare_addresses_make_no_link() -> None:
+    assert len(plain("x" * 500)) == 120
+    assert "https://" not in plain("https://a.b")
+    assert "www." not in plain("www.a.b")
