@@ -22,6 +22,7 @@ from gym_open.formats.releases.layout import (
     video_path,
 )
 from gym_open.formats.releases.reader import Release
+from gym_open.formats.releases.schemas import PIXEL_ERROR
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -58,6 +59,11 @@ def check_info(release: Release, findings: Findings) -> None:
     findings.expect(
         info["splits"] == splits, INFO_PATH, f"splits are {str(info['splits'])[:100]}, those of the episodes {splits}"
     )
+    if "video_error" in ours:
+        weights = episodes["length"] / episodes["length"].sum()
+        mean, most = (weights * episodes[f"{PIXEL_ERROR}mean"]).sum(), episodes[f"{PIXEL_ERROR}max"].max()
+        good = abs(mean - ours["video_error"]["mean"]) < 1e-9 and most == ours["video_error"]["max"]
+        findings.expect(good, INFO_PATH, "gym_open.video_error is not that of the episodes")
     units: dict[str, set[str]] = {split: set() for split in SPLITS}
     for row in rows_of(episodes[["split", "stream", "puzzle"]].drop_duplicates()):
         units.setdefault(row["split"], set()).add(unit_of(ours["split_by"], row["stream"], row["puzzle"]))

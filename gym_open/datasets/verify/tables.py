@@ -90,8 +90,8 @@ def _check_worlds(release: Release, findings: Findings) -> None:
 
 
 def _check_switches(release: Release, findings: Findings) -> None:
-    """Segments begin and end at switches, of which each stream has a first and a last."""
-    switches, segments = release.table("switches"), release.table("segments")
+    """Segments begin and end at switches."""
+    switches = release.table("switches")
     episodes = release.episodes
     steps = release.table("streams").set_index("stream")["steps"].to_dict()
     late = switches["step"] > switches["stream"].map(steps).fillna(-1)
@@ -102,10 +102,9 @@ def _check_switches(release: Release, findings: Findings) -> None:
         _tell(findings, SWITCHES, switches[~np.array(known, bool)], ["stream", "step", key], "no such world")
     entered = set(zip(switches["stream"], switches["step"], switches["to_world"], strict=True))
     left = set(zip(switches["stream"], switches["step"], switches["from_world"], switches["reason"], strict=True))
-    begun = set(zip(*(episodes.loc[episodes["piece"] == 0, key] for key in ("stream", "segment")), strict=True))
-    for row in rows_of(segments):
+    for row in rows_of(episodes[(episodes["piece"] == 0) | (episodes["ended"] != LENGTH_CAP)]):
         where, end = f"stream {row['stream']}, segment {row['segment']}", row["first_step"] + row["steps"]
-        if (row["stream"], row["segment"]) in begun and (row["stream"], row["first_step"], row["world"]) not in entered:
+        if row["piece"] == 0 and (row["stream"], row["first_step"], row["world"]) not in entered:
             findings.add(SWITCHES, f"{where}: no switch leads to world {row['world']} at step {row['first_step']}")
         if row["ended"] != LENGTH_CAP and (row["stream"], end, row["world"], row["ended"]) not in left:
             findings.add(SWITCHES, f"{where}: no switch leaves world {row['world']} at step {end} ({row['ended']})")
