@@ -1,6 +1,6 @@
 """Logs become a release: `build_release(config, logs, out)`; or are appended to one that there is."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -46,11 +46,13 @@ def build_release(
     Raises:
         ArtefactError: if a log is missing, damaged, empty, or not of free play in the sandbox (naming the file), or the
             version says other than what was changed; no release is left behind.
-        UsageError: if `out` was made of other inputs and `replace` is false, or there is nothing to append to.
+        UsageError: if `out` was made of other inputs and `replace` is false, there is nothing to append to, or a
+            log would be in the release twice.
     """
     previous = previous or latest_below(out, config.version)
     if append and previous is None:
         raise UsageError(f"{out}: nothing to append to: no version below {config.version} beside it; give --previous")
+    _check_new(logs, previous if append else None)
     sealed = AppendConfig(**to_dict(config)) if append else config
 
     parents = [*logs, *([previous] if previous else [])]
@@ -62,6 +64,21 @@ def build_release(
         return facts
 
     return artefacts.build(out, kind="release", config=sealed, parents=parents, work=work, replace=replace)
+
+
+def _check_new(logs: Sequence[Path], after: Path | None) -> None:
+    """Raises UsageError if a log is given twice, or is in the release that is appended to: episodes would be twice."""
+    known = set(_ancestors(artefacts.lineage(after))) if after else set()
+    for log in logs:
+        if (digest := artefacts.digest(log)) in known:
+            raise UsageError(f"{log}: given twice, or in the release already: its episodes would be there twice")
+        known.add(digest)
+
+
+def _ancestors(lineage: artefacts.Lineage) -> Iterator[str]:
+    for parent in lineage.parents:
+        yield parent.digest
+        yield from _ancestors(parent.lineage)
 
 
 def _write(

@@ -134,6 +134,13 @@ def test_there_must_be_something_to_append_to(logs: list[Path], tmp_path: Path) 
         build_release(SECOND, logs, tmp_path / "1.1.0", append=True)
 
 
+def test_no_log_is_in_a_release_twice(first: Release, logs: list[Path], tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="twice"):
+        build_release(SECOND, logs[:1], tmp_path / "r", previous=first.root, append=True)
+    with pytest.raises(UsageError, match="twice"):
+        build_release(FIRST, [logs[0], logs[1], logs[0]], tmp_path / "r")
+
+
 def test_an_append_is_no_patch(first: Release, logs: list[Path], tmp_path: Path) -> None:
     config = ReleaseConfig(max_episode_steps=5, val_fraction=0.34, version="1.0.1")
     with pytest.raises(ArtefactError, match=r"1\.1\.0"):
