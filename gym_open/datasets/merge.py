@@ -40,8 +40,9 @@ def merge_releases(
     seen: dict[str, Path] = {}
     for release in opened:
         _check_alike(opened[0], release)
-        if (first := seen.setdefault(release.digest, release.root)) is not release.root:
+        if first := seen.get(release.digest):
             raise UsageError(f"{release.root}: is {first} once more; its episodes would be counted twice")
+        seen[release.digest] = release.root
     chosen = [(release, np.arange(len(release.episodes))) for release in opened]
     return derive(config, "merge", out, chosen, workers=workers, replace=replace)
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def parents(make_log: MakeLog, no_figures: None, tmp_path_factory: pytest.TempPa
     one = build_release(CONFIG, logs, folder / "one/1.0.0").path
     more = make_log(lengths=((7, 2, 6),), seed=0, keyframe_every=2)
     other = build_release(
-        ReleaseConfig(**{**_plain(CONFIG), "name": "open/other", "seed": 3}), [more], folder / "o/1.0.0"
+        ReleaseConfig(**{**_plain(CONFIG), "name": "open/other", "seed": 7}), [more], folder / "o/1.0.0"
     )
     return Parents(one, other.path)
 
@@ -50,7 +50,7 @@ def merged(parents: Parents, tmp_path_factory: pytest.TempPathFactory) -> Releas
 
 
 def rows(release: Release) -> list[dict[str, Any]]:
-    return release.episodes.to_dict("records")
+    return cast("list[dict[str, Any]]", release.episodes.to_dict("records"))
 
 
 def pngs(release: Release, row: dict[str, Any]) -> list[bytes]:

@@ -1,0 +1,235 @@
+"""A split of a release in the forms of others: one NumPy file, or a Minari data set. Whole or absent."""
+
+import shutil
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.lib import format as npy
+
+from gym_open import progress
+from gym_open.errors import GymOpenError, UsageError
+from gym_open.formats.releases import IMAGE, Release, open_release
+from gym_open.formats.releases.features import numeric
+from gym_open.formats.releases.layout import PART
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from minari.data_collector.episode_buffer import EpisodeBuffer
+
+_ZIP_DATE = (1980, 1, 1, 0, 0, 0)
+_INFOS = ("reward.intrinsic", "world_model.loss", "policy.entropy", "policy.value", "contact.count", "contact.agent",
+          "contact.impulse")  # fmt: skip
+
+
+def export_npz(root: Path, split: str, out: Path) -> Path:
+    """Write a split of the release at `root` as one file for `numpy.load(out, allow_pickle=False)`.
+
+    Its n frames are those of the split's m episodes, in their order. Keys:
+
+        observation.image           (n, 84, 84, 3) uint8 RGB
+        any other feature           (n,) or (n, d), as in the release; `episode_index` counts within the release
+        episode_starts              (m + 1,) int64: episode i is the rows from `starts[i]` to `starts[i + 1]`
+        episode_explorer            (m,) text
+        episode_puzzle              (m,) text: digests of the layouts
+
+    An episode of T actions has T + 1 rows; `transition.valid` is False in the last. Memory does not depend on n:
+    pictures go into the file as they are decoded.
+
+    Args:
+        root: folder of a release; every byte of it is checked.
+        split: `train` or `val`.
+        out: file to make.
+
+    Raises:
+        ArtefactError: if the release is damaged.
+        UsageError: if there is no such split, or `out` exists.
+    """
+    release, rows = _opened(root, split)
+    lengths = rows["length"].to_numpy()
+    frames = int(lengths.sum())
+    with _beside(out) as partial, progress.bar("dataset export", 2 * frames) as bar:
+        partial.mkdir()
+        members = _write_numbers(release, rows, partial, bar)
+        for name, values in {
+            "episode_starts": np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64),
+            "episode_explorer": np.array(rows["explorer"].tolist(), dtype=np.str_),
+            "episode_puzzle": np.array(rows["puzzle"].tolist(), dtype=np.str_),
+        }.items():
+            members[name] = partial / f"{name}.npy"
+            np.save(members[name], values, allow_pickle=False)
+        packed = partial / "packed"
+        with zipfile.ZipFile(packed, "w") as file:
+            for name, path in sorted(members.items()):
+                with path.open("rb") as source, _member(file, name) as target:
+                    shutil.copyfileobj(source, target, 2**20)
+                path.unlink()
+            with _member(file, IMAGE) as target:
+                _begin(target, np.dtype(np.uint8), (frames, *release.info["features"][IMAGE]["shape"]))
+                for first, stop in _spans(rows):
+                    target.write(release.images(np.arange(first, stop)).data)
+                    bar.advance(stop - first)
+        packed.rename(out)
+        shutil.rmtree(partial)
+    return out
+
+
+def export_minari(root: Path, split: str, out: Path, dataset_id: str) -> Path:
+    """Write a split of the release at `root` as a Minari data set, in a folder of Minari's own.
+
+    With MINARI_DATASETS_PATH set to `out`, `minari.load_dataset(dataset_id)` reads it; so does
+    `minari.MinariDataset(out / dataset_id / "data")`. An episode of T actions has T + 1 observations: the pictures as
+    `image`, which are not made JPEG, `state` and `environment_state`. Actions are Discrete(9), rewards the extrinsic
+    ones, which are 0. No episode terminates, each ends truncated. `infos` has what the explorer made of each step, at
+    the index of the observation that the step led to; before the first step stands NaN, or 0.
+
+    Args:
+        root: folder of a release; every byte of it is checked.
+        split: `train` or `val`.
+        out: folder to make.
+        dataset_id: NAMESPACE/NAME-vN.
+
+    Raises:
+        ArtefactError: if the release is damaged.
+        UsageError: if there is no such split, `out` exists, or the id is none of Minari's.
+        GymOpenError: if Minari is not installed.
+    """
+    try:
+        import minari
+        from minari.dataset.minari_dataset import parse_dataset_id
+        from minari.dataset.minari_storage import MinariStorage
+        from minari.namespace import NAMESPACE_METADATA_FILENAME
+    except ImportError:
+        raise GymOpenError("exports to Minari need minari with HDF5: pip install 'gym-open[minari]'") from None
+    try:
+        namespace = parse_dataset_id(dataset_id)[0]
+    except ValueError as error:
+        raise UsageError(f"dataset id must be NAMESPACE/NAME-vN, got {dataset_id!r}: {error}") from None
+    release, rows = _opened(root, split)
+    rows = rows[rows["steps"] > 0]
+    with _beside(out) as partial, progress.bar("dataset export", int(rows["length"].sum())) as bar:
+        data = partial / dataset_id / "data"
+        data.mkdir(parents=True)
+        if namespace:
+            for folder in (partial / namespace, *(partial / namespace).parents):
+                if folder.is_relative_to(partial) and folder != partial:
+                    (folder / NAMESPACE_METADATA_FILENAME).write_text("{}")
+        storage = MinariStorage.new(data, *_spaces(release), jpeg_encoding=False)
+        about = f"Split {split} of {release.name} {release.version}: play without a task, recorded by gym-open."
+        storage.update_metadata({"dataset_id": dataset_id, "minari_version": minari.__version__, "description": about})
+        for number, row in enumerate(rows.to_dict("records")):
+            span = (row["dataset_from_index"], row["dataset_to_index"])
+            storage.update_episodes([_buffer(release, *span)])
+            told = {
+                name: row[name] for name in ("explorer", "puzzle", "stream", "segment", "piece", "continued", "ended")
+            }
+            storage.update_episode_metadata([told], [number])
+            bar.advance(row["length"])
+        partial.rename(out)
+    return out
+
+
+def _opened(root: Path, split: str) -> "tuple[Release, pd.DataFrame]":
+    """The release, every byte of it checked, and the rows of `meta/episodes` of a split."""
+    release = open_release(root, check="bytes")
+    rows = release.episodes[release.episodes["split"] == split]
+    if not len(rows):
+        there = ", ".join(sorted(release.info["splits"]))
+        raise UsageError(f"{root}: no split {split!r} there; it has {there}")
+    return release, rows
+
+
+@contextmanager
+def _beside(out: Path) -> Iterator[Path]:
+    """A path beside `out` to make and to rename; what is left there is removed.
+
+    Raises:
+        UsageError: if `out` exists.
+    """
+    if out.exists():
+        raise UsageError(f"{out}: exists; give another --out or remove it")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    partial = out.with_name(f".{out.name}.partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    try:
+        yield partial
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def _spans(rows: "pd.DataFrame") -> Iterator[tuple[int, int]]:
+    """First frame and the one after the last of each episode."""
+    yield from zip(rows["dataset_from_index"].tolist(), rows["dataset_to_index"].tolist(), strict=True)
+
+
+def _write_numbers(release: Release, rows: "pd.DataFrame", folder: Path, bar: progress.Bar) -> dict[str, Path]:
+    """Write every numeric feature to a `.npy` file of its own, side by side, and return the files by name."""
+    described, frames = release.info["features"], int(rows["length"].sum())
+    paths = {name: folder / f"{name}.npy" for name in numeric(described)}
+    with ExitStack() as stack:
+        files = {name: stack.enter_context(path.open("wb")) for name, path in paths.items()}
+        for name, file in files.items():
+            shape = described[name]["shape"]
+            _begin(file, np.dtype(described[name]["dtype"]), (frames, *(() if shape == [1] else shape)))
+        for first, stop in _spans(rows):
+            for name, values in release.numbers(first, stop).items():
+                files[name].write(np.ascontiguousarray(values).data)
+            bar.advance(stop - first)
+    return paths
+
+
+def _begin(file: Any, dtype: np.dtype, shape: tuple[int, ...]) -> None:
+    """Write the head of a `.npy` file; the values follow in C order."""
+    head = {"descr": npy.dtype_to_descr(dtype.newbyteorder("<")), "fortran_order": False, "shape": shape}
+    npy.write_array_header_1_0(file, head)
+
+
+def _member(file: zipfile.ZipFile, name: str) -> Any:
+    return file.open(zipfile.ZipInfo(f"{name}.npy", _ZIP_DATE), "w", force_zip64=True)
+
+
+def _spaces(release: Release) -> tuple[Any, Any]:
+    from gymnasium import spaces
+
+    described = release.info["features"]
+
+    def numbers(name: str) -> spaces.Box:
+        return spaces.Box(-np.inf, np.inf, tuple(described[name]["shape"]), np.float32)
+
+    observation = spaces.Dict(
+        {
+            "image": spaces.Box(0, 255, tuple(described[IMAGE]["shape"]), np.uint8),
+            "state": numbers("observation.state"),
+            "environment_state": numbers("observation.environment_state"),
+        }
+    )
+    return observation, spaces.Discrete(described["action"]["shape"][0])
+
+
+def _buffer(release: Release, first: int, stop: int) -> "EpisodeBuffer":
+    """An episode as Minari has it."""
+    from minari.data_collector.episode_buffer import EpisodeBuffer
+
+    values: Mapping[str, np.ndarray] = release.numbers(first, stop)
+    told = [name for name in values if name in _INFOS or name.startswith(PART)]
+    return EpisodeBuffer(
+        observations={
+            "image": release.images(np.arange(first, stop)),
+            "state": values["observation.state"],
+            "environment_state": values["observation.environment_state"],
+        },
+        actions=values["action.index"][:-1],  # type: ignore[arg-type]  # an array does as well as a list
+        rewards=values["next.reward"][:-1],  # type: ignore[arg-type]
+        terminations=values["next.done"][:-1],  # type: ignore[arg-type]
+        truncations=values["next.truncated"][:-1],  # type: ignore[arg-type]
+        infos={name: _led_to(values[name]) for name in told},
+    )
+
+
+def _led_to(values: np.ndarray) -> np.ndarray:
+    """Values of steps, as frames have them, moved to the frames that the steps led to."""
+    nothing = np.nan if np.issubdtype(values.dtype, np.floating) else 0
+    return np.concatenate([np.array([nothing], dtype=values.dtype), values[:-1]])
