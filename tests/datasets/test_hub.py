@@ -39,7 +39,7 @@ Hub = hub_server.Hub
 
 
 @pytest.fixture(scope="module")
-def releases(make_log: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def releases(make_log: Callable[..., Path], no_figures: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder with the versions 1.0.0 and 2.0.0 of a release: other logs, so that all data are others."""
     folder = tmp_path_factory.mktemp("open") / "explore"
     for version, seed in (("1.0.0", 0), ("2.0.0", 1)):
