@@ -35,7 +35,7 @@ def write_papers(
         config: all that decided it.
         command: what makes it.
         previous: the release that this one follows, or takes over.
-        parents: artefacts that it is made of, `previous` included, last: logs first, then releases.
+        parents: artefacts that it is made of: logs, releases, and `previous` last, if there is one.
 
     Raises:
         ArtefactError: if `previous` is not readable.
@@ -45,15 +45,13 @@ def write_papers(
     sources = releases[:-1] if previous else releases
     newest = max((log.batch for log in facts.logs), default=0)
     logs = [log for log in facts.logs if log.batch == newest] if command in {"build", "append"} else []
+    rebuild = rebuild_files(config, command, logs, sources, previous.root if previous else None)
     papers = {
         CARD: card(config, facts).encode(),
         LICENSE: licence_text(config).encode(),
         CROISSANT: artefacts.canonical_json(croissant(config, release, description(facts))),
         **{f"figures/{name}": data for name, data in draw(facts).items()},
-        **{
-            f"rebuild/{name}": data
-            for name, data in rebuild_files(config, command, logs, sources, previous.root if previous else None).items()
-        },
+        **{f"rebuild/{name}": data for name, data in rebuild.items()},
     }
     for name, data in papers.items():
         path = release.root / name

@@ -109,8 +109,8 @@ first_step, steps, continued, ended, split, and statistics of each feature. `met
 """
 
 VIDEO = """\
-- **Pictures are video** (H.264 in RGB), which is smaller than PNG and slower to read at random; browsers do not play it.
-  Decoded as it was built and held against the logged pictures, the levels of all pixels and channels were off by
+- **Pictures are video** (H.264 in RGB), which is smaller than PNG and slower to read at random; browsers do not play
+  it. Decoded as it was built and held against the logged pictures, the levels of all pixels and channels were off by
   {mean:.2f} of 255 in the mean and by {max:.0f} at most{psnr}.
 """
 

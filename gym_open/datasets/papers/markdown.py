@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 
 from gym_open.terminal import printable
 
-_SPECIAL = re.compile(r"([\\`*_\[\]<>|~&!#:@$])")
+_SPECIAL = re.compile(r"([\\`*_\[\]<>|~&!#@$]|:(?=//))")
 _LENGTH = 120
 
 

@@ -61,6 +61,12 @@ _GIVEN = """
 # log {number} was not made by `gym-open collect`: it cannot be made again from a seed
 log_{number}="${{LOG_{number}:?give the folder of log {number}}}"
 """
+_BESIDE = """\
+# the version before is looked for beside the new one
+beside="$(dirname -- "$made")"
+mkdir -p -- "$beside"
+[ -e "$beside/{version}" ] || cp -R -- "$previous" "$beside/{version}"
+"""
 _TAIL = """
 expected=$(payload "$here/..")
 found=$(payload "$made")
@@ -91,7 +97,7 @@ def rebuild_files(
     if previous is not None:
         parts.append(_parent("previous", "the version before", previous))
     parts += [_log(log) for log in logs]
-    parts += [f"\n{_made(config, command, logs, len(releases), previous is not None)}\n", _TAIL]
+    parts += [f"\n{_made(config, command, logs, len(releases), previous)}\n", _TAIL]
     return {**files, "rebuild.sh": "".join(parts).encode()}
 
 
@@ -124,15 +130,16 @@ def _log(log: LogFacts) -> str:
     return form.format(number=number, streams=log.streams, steps=log.steps)
 
 
-def _made(config: Header, command: str, logs: Sequence[LogFacts], releases: int, follows: bool) -> str:
+def _made(config: Header, command: str, logs: Sequence[LogFacts], releases: int, previous: Path | None) -> str:
     """The command that makes the release."""
-    before = ' --previous "$previous"' * follows
     if command in {"build", "append"}:
         given = " ".join(f'"$log_{log.number:03d}"' for log in logs)
         append = " --append" * (command == "append")
+        before = ' --previous "$previous"' if previous else ""
         return f'gym-open dataset build --config "$here/{command}.toml"{append} --logs {given}{before} --out "$made"'
     given = " ".join(f'"$release_{i}"' for i in range(releases))
-    return f'gym-open dataset {command} {given} {" ".join(_options(config))} --out "$made"'
+    beside = _BESIDE.format(version=read_info(previous)["gym_open"]["version"]) if previous else ""
+    return f'{beside}gym-open dataset {command} {given} {" ".join(_options(config))} --out "$made"'
 
 
 def _options(config: Header) -> Iterator[str]:

@@ -57,6 +57,8 @@ def test_commands(release: Release, tmp_path: Path) -> None:
     assert """--explorer curl+ride 'it'"'"'s' --min-contact 0.2""" in line
     assert "--split val" in line
     assert "--world" not in line
+    followed = rebuild_files(config, "filter", [], [release.root], release.root)["rebuild.sh"].decode()
+    assert 'cp -R -- "$previous" "$beside/1.0.0"' in followed
     for number, files in enumerate((build, append, merge)):
         script = tmp_path / f"{number}.sh"
         script.write_bytes(files["rebuild.sh"])
