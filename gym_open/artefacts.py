@@ -134,10 +134,10 @@ def digest(path: Path) -> str:
     Raises:
         ArtefactError: if there is no artefact.
     """
-    record = path / MANIFEST
-    if record.is_symlink() or not record.is_file():
-        raise ArtefactError(f"{path}: not an artefact of gym-open ({MANIFEST} is missing); build it first")
-    return sha256_file(record)
+    try:
+        return hashlib.sha256(_record(path / MANIFEST)).hexdigest()
+    except (FileNotFoundError, NotADirectoryError):
+        raise ArtefactError(f"{path}: not an artefact of gym-open ({MANIFEST} is missing); build it first") from None
 
 
 def lineage(path: Path) -> Lineage:
@@ -163,12 +163,16 @@ def manifest(path: Path) -> dict[str, Entry]:
     return _read(path / MANIFEST, dict[str, Entry])
 
 
+def _record(path: Path) -> bytes:
+    about = path.lstat()
+    if not stat.S_ISREG(about.st_mode) or about.st_size > _MAX_RECORD_BYTES:
+        raise ArtefactError(f"{path}: a link, a special file, or over {_MAX_RECORD_BYTES:,} bytes; get it anew")
+    return path.read_bytes()
+
+
 def _read(path: Path, kind: Any) -> Any:
     try:
-        about = path.lstat()
-        if not stat.S_ISREG(about.st_mode) or about.st_size > _MAX_RECORD_BYTES:
-            raise ArtefactError(f"{path}: a link, a special file, or over {_MAX_RECORD_BYTES:,} bytes; get it anew")
-        return msgspec.json.decode(path.read_bytes(), type=kind)
+        return msgspec.json.decode(_record(path), type=kind)
     except FileNotFoundError:
         raise ArtefactError(f"{path}: missing; the artefact is not whole, build it again") from None
     except (OSError, msgspec.DecodeError, RecursionError) as error:
@@ -202,7 +206,7 @@ def problems(path: Path, *, hashed: Callable[[str], bool] = lambda _: True) -> I
     """
     digest(path)  # raises if there is none
     listed = manifest(path)
-    if (path / MANIFEST).read_bytes() != canonical_json(listed):
+    if _record(path / MANIFEST) != canonical_json(listed):
         yield Problem(MANIFEST, "not written as gym-open writes it (changed bytes); restore it or build again")
     for name in sorted({CONFIG, LINEAGE} - listed.keys()):
         yield Problem(name, f"not listed in {MANIFEST}; build again")
