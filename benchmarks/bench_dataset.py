@@ -2,7 +2,7 @@
 
 Random play is collected once. A round times everything in turn, so that all meet the same load; what is printed are
 medians over rounds, of ratios too. Windows are of four frames, drawn at random from split train; "none", "disk" and
-"memory" say where our reader has its cache.
+"memory" say where our reader has its cache; torch's loader has it on disk.
 
 Run: uv run python benchmarks/bench_dataset.py
 """
@@ -87,9 +87,11 @@ def read(release: Release, cache: Path) -> Rates:
     opened = rate(1, lambda: Pictures(open_release(release.root), cache=cache))
     made["none"] = Pictures(release, limit_bytes=0)
     for name, count in itertools.product(made, (1, 2)):
-        windows = Windows(made[name], "train", LENGTH)
-        batches = windows.batches(np.random.default_rng(0), BATCH, workers=count)
+        batches = Windows(made[name], "train", LENGTH).batches(np.random.default_rng(0), BATCH, workers=count)
         found[f"{name}, {count}"] = drained(batches, BATCHES if name != "none" else 4, BATCH)
+    windows = Windows(made["disk"], "train", LENGTH)
+    loader = torch.utils.data.DataLoader(windows, batch_size=BATCH, shuffle=True, num_workers=2)
+    found["torch's loader, 2"] = drained(iter(loader), BATCHES // 4, BATCH)
     raw = release.images(release.split("train"))
     starts = np.random.default_rng(0).integers(0, len(raw) - LENGTH, (BATCHES, BATCH))
     found["memcpy"] = rate(starts.size, lambda: [np.stack([raw[i : i + LENGTH] for i in row]) for row in starts])
@@ -143,7 +145,7 @@ def show(rounds: list[Rates]) -> None:
         table.add_row(f"{name} (steps)", median(name), "", "")
     console.print(table)
     table = Table("4-frame windows", "a second", "of LeRobot's best", "of memcpy's", title="read")
-    names = [f"{name}, {count}" for name in ("none", "disk", "memory") for count in (1, 2)]
+    names = [f"{name}, {count}" for name in ("none", "disk", "memory") for count in (1, 2)] + ["torch's loader, 2"]
     theirs = [f"{name}, {count}" for name in LEROBOT for count in (0, 1, 2)]
     best = max(theirs, key=lambda name: statistics.median(row[name] for row in rounds))
     for name in (*theirs, *names, "memcpy"):

@@ -192,10 +192,12 @@ def test_a_release_that_changes_under_an_open_one_is_refused(
 ) -> None:
     root = Path(shutil.copytree(release.root, tmp_path / "release"))
     opened = open_release(root)
+    sent = pickle.dumps(Pictures(opened, cache=tmp_path / "cache"))
     shutil.rmtree(root)
     build_release(CONFIG, [make_log(lengths=((9, 12, 3),), seed=12)], root)
-    with pytest.raises(ArtefactError, match="is another release since it was opened"):
-        Pictures(opened)
+    for use in (lambda: Pictures(opened), lambda: pickle.loads(sent)):
+        with pytest.raises(ArtefactError, match="is another release since it was opened"):
+            use()
 
 
 def test_every_byte_is_checked_before_a_cache_is_made(release: Release, tmp_path: Path) -> None:

@@ -76,7 +76,7 @@ class Pictures:
         """A copy in another process opens the release and the cache by itself."""
         if self._cache is None:
             raise TypeError("pictures kept in memory cannot be sent to another process; give Pictures a cache folder")
-        return _reopen, (self.release.root, self._cache, self._limit)
+        return _reopen, (self.release.root, self.release.digest, self._cache, self._limit)
 
     def take(self, frames: np.ndarray) -> np.ndarray:
         """Pictures of `frames` (integers of any shape): (*frames.shape, 84, 84, 3) uint8 RGB.
@@ -117,8 +117,15 @@ class Pictures:
             out[place] = block[frame % _BLOCK]
 
 
-def _reopen(root: Path, cache: Path, limit_bytes: int) -> Pictures:
-    return Pictures(open_release(root), cache=cache, limit_bytes=limit_bytes)
+def _reopen(root: Path, digest: str, cache: Path, limit_bytes: int) -> Pictures:
+    release = open_release(root)
+    if release.digest != digest:
+        raise _changed(root)
+    return Pictures(release, cache=cache, limit_bytes=limit_bytes)
+
+
+def _changed(root: Path) -> ArtefactError:
+    return ArtefactError(f"{root}: is another release since it was opened; open it again")
 
 
 class _Kept:
@@ -206,7 +213,7 @@ def _alone(lock: Path) -> Iterator[None]:
 def _write(release: Release, sink: BinaryIO, limit_bytes: int) -> None:
     """Write a cache of the frames that fit `limit_bytes`. The release decodes with all processors."""
     if artefacts.verify(release.root, "release") != release.digest:
-        raise ArtefactError(f"{release.root}: is another release since it was opened; open it again")
+        raise _changed(release.root)
     once = Release(release.root, release.digest, release.info, cached_groups=2)  # each is read once, in order
     offsets, frames = array("q", [0]), 0
     compressor = zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True)

@@ -4,6 +4,7 @@ import itertools
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,8 +16,15 @@ ACTION = "action.index"
 Batch = dict[str, np.ndarray]
 """By feature: the picture (…, L, 84, 84, 3) uint8, `action.index` (…, L) int64, others (…, L) or (…, L, d)."""
 
+if TYPE_CHECKING:  # torch takes seconds to import, and asks of a dataset only what `Windows` has
+    from torch.utils.data import Dataset
 
-class Windows:
+    _MapStyle = Dataset[Batch]
+else:
+    _MapStyle = object
+
+
+class Windows(_MapStyle):
     """Every window of `length` frames, `stride` apart, that lies within one episode of a split.
 
     A window that ends with the last frame of its episode has action -1 there: nothing was done after it. Numbers run
