@@ -261,7 +261,7 @@ def test_several_logs_are_one_release(make_log: MakeLog, tmp_path: Path) -> None
 
 def test_every_keyframe_of_the_log_is_in_one_episode(make_log: MakeLog, tmp_path: Path) -> None:
     log = make_log(lengths=((12, 5, 8),), keyframe_every=4)
-    release = open_release(build_release(ReleaseConfig(max_episode_steps=6), [log], tmp_path / "r").path)
+    release = open_release(build_release(ReleaseConfig(max_episode_steps=8), [log], tmp_path / "r").path)
     table = release.table("keyframes")
     expected = {(s.index, k.segment_step): k.integration_state for s in segments(log).values() for k in s.keyframes}
     assert len(table) == len(expected) == 3 + 2 + 2
@@ -269,8 +269,9 @@ def test_every_keyframe_of_the_log_is_in_one_episode(make_log: MakeLog, tmp_path
         assert np.array_equal(row["integration_state"], expected[row["segment"], row["segment_step"]])
         episode = episodes(release)[row["episode_index"]]
         assert (episode["stream"], episode["segment"]) == (row["stream"], row["segment"])
-        assert episode["piece"] * 6 + row["frame_index"] == row["segment_step"]
-        assert 0 <= row["frame_index"] < max(1, episode["steps"])
+        assert episode["piece"] * 8 + row["frame_index"] == row["segment_step"]
+        assert 0 <= row["frame_index"] < episode["steps"]  # that of the cut is the first of the second piece
+    assert (table["frame_index"] == 0).sum() == len(release.episodes)
 
 
 def test_a_version_is_never_changed(log: Path, make_log: MakeLog, tmp_path: Path) -> None:
