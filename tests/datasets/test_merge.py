@@ -131,6 +131,7 @@ def test_the_same_parents_give_the_same_bytes(parents: Parents, merged: Release,
     assert not merge_releases(MERGED, parents, again.path).made
 
 
+@pytest.mark.slow
 def test_an_interrupted_merge_goes_on(
     parents: Parents, merged: Release, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -165,9 +166,13 @@ def test_what_does_not_go_together_is_named(parents: Parents, make_log: MakeLog,
     assert not (tmp_path / "out").exists()
 
 
-def test_a_version_is_not_changed(parents: Parents, tmp_path: Path) -> None:
-    out = merge_releases(MERGED, [parents.one], tmp_path / "1.0.0").path
+def test_a_version_is_not_changed(parents: Parents, merged: Release) -> None:
     with pytest.raises(UsageError, match="never changed"):
-        merge_releases(MERGED, parents, out)
+        merge_releases(MERGED, [parents.one], merged.root)
+
+
+@pytest.mark.slow
+def test_a_version_that_lies_is_refused(parents: Parents, tmp_path: Path) -> None:
+    merge_releases(MERGED, [parents.one], tmp_path / "1.0.0")
     with pytest.raises(ArtefactError, match=r"makes it \d+\.\d+\.\d+"):
         merge_releases(MergeConfig(name="open/both", version="7.0.0"), parents, tmp_path / "7.0.0")
