@@ -31,6 +31,8 @@ _DERIVED = (CHANGELOG, CROISSANT, "rebuild/")
 """Papers that follow from the rest, and from the version."""
 _NAMING = {"name", "version", "published", "license", "batches"}
 """Keys of our part of `meta/info.json` in which any two versions may differ, or that are told apart."""
+_LARGEST_PAPER = 2**24
+"""Bytes up to which a paper is read to compare it."""
 _COUNTS = {"features", "splits", "total_episodes", "total_frames"}
 """Keys of LeRobot's part that follow from features and episodes."""
 
@@ -167,7 +169,7 @@ def _is_paper(path: str) -> bool:
 
 
 def _same_but_for_version(a: Release, b: Release, item: FileChange) -> bool:
-    if item.how != "changed":
+    if item.how != "changed" or max((one.root / item.path).stat().st_size for one in (a, b)) > _LARGEST_PAPER:
         return False
     return _without_version(a, item.path) == _without_version(b, item.path)
 

@@ -6,12 +6,14 @@ Numbers are read a data file at a time, a few columns of it; pictures are not re
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
 
 from gym_open.envs.constants import N_ACTIONS, WALL_X, WALL_Y
+from gym_open.errors import ArtefactError
 from gym_open.formats.releases import Release, features, parquet
 from gym_open.formats.releases.layout import DATA_PATHS, PART, SPLITS
 
@@ -112,7 +114,11 @@ class Facts:
 
 
 def gather(release: Release) -> Facts:
-    """Count what is in a release, sealed or just before it is."""
+    """Count what is in a release, sealed or just before it is.
+
+    Raises:
+        ArtefactError: if a configuration in it is not JSON, or a file is damaged.
+    """
     episodes = release.episodes
     names = sorted(episodes["explorer"].unique())
     played = [_episodes_of(name, episodes[episodes["explorer"] == name]) for name in names]
@@ -187,4 +193,11 @@ def _logs(release: Release) -> Iterator[LogFacts]:
             streams.setdefault((row["log"], row["config"]), []).append(row)
         for (number, config), rows in streams.items():
             steps = sum(row["steps"] for row in rows)
-            yield LogFacts(number, batch, rows[0]["explorer"], msgspec.json.decode(config), len(rows), steps)
+            yield LogFacts(number, batch, rows[0]["explorer"], _config(config, path, number), len(rows), steps)
+
+
+def _config(text: str, path: Path, number: int) -> dict[str, Any]:
+    try:
+        return msgspec.json.decode(text, type=dict[str, Any])
+    except (msgspec.DecodeError, RecursionError) as error:
+        raise ArtefactError(f"{path}: configuration of log {number}: {error}; do not use this release") from None

@@ -106,12 +106,12 @@ def _toml(config: Mapping[str, Any]) -> bytes:
     return tomli_w.dumps(_without_none(config)).encode()
 
 
-def _without_none(config: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        key: _without_none(value) if isinstance(value, Mapping) else value
-        for key, value in config.items()
-        if value is not None
-    }
+def _without_none(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _without_none(item) for key, item in value.items() if item is not None}
+    if isinstance(value, list):
+        return [_without_none(item) for item in value if item is not None]
+    return value
 
 
 def _was_collected(log: LogFacts) -> bool:

@@ -1,7 +1,9 @@
 """The card says what is in the data, and nothing in the data can write on it."""
 
 import re
+import shutil
 import sys
+from pathlib import Path
 
 import markdown_it
 import numpy as np
@@ -15,6 +17,7 @@ from gym_open.datasets import Release
 from gym_open.datasets.papers.card_text import MEANINGS
 from gym_open.datasets.papers.facts import gather
 from gym_open.datasets.papers.markdown import plain, table
+from gym_open.errors import ArtefactError
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +95,17 @@ def test_visits_are_counted_once_a_frame(release: Release) -> None:
     facts = gather(release)
     inside = np.abs(release.column("observation.state")[:, :2]) < (0.65, 1.15)
     assert sum(one.visits.sum() for one in facts.played) == inside.all(axis=1).sum()
+
+
+@pytest.mark.parametrize("config", ["{", "[]", "null", "[" * 100_000])
+def test_a_configuration_that_is_none(release: Release, tmp_path: Path, config: str) -> None:
+    folder = tmp_path / "1.0.0"
+    shutil.copytree(release.root, folder)
+    path = folder / "meta/streams/file-000.parquet"
+    streams = pd.read_parquet(path).assign(config=config)
+    streams.to_parquet(path)
+    with pytest.raises(ArtefactError, match="configuration of log 0"):
+        gather(Release(folder, "", release.info))
 
 
 def test_every_feature_is_explained(text: str, release: Release) -> None:

@@ -31,6 +31,12 @@ def test_configurations_come_back_whole() -> None:
     assert tomllib.loads(files["log-000.toml"].decode()) == {**LOG.config, "explorer": {"ppo": {}}}
 
 
+def test_what_toml_cannot_say_is_left_out() -> None:
+    log = LogFacts(0, 0, "random", {**LOG.config, "more": [1, None, {"a": None, "b": 2}]}, 1, 64)
+    found = tomllib.loads(rebuild_files(ReleaseConfig(), "build", [log], [], None)["log-000.toml"].decode())
+    assert found["more"] == [1, {"b": 2}]
+
+
 def commands(files: dict[str, bytes]) -> list[str]:
     return [line for line in files["rebuild.sh"].decode().splitlines() if line.startswith("gym-open")]
 
