@@ -1,5 +1,6 @@
 """Logs become a release: `build_release(config, logs, out)`; or are appended to one that there is."""
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -16,6 +17,9 @@ from gym_open.errors import ArtefactError, UsageError
 from gym_open.formats.releases import Release, open_release
 from gym_open.formats.releases.features import Features, features, objects
 from gym_open.formats.releases.layout import PART, Split
+
+_PART_NAME = re.compile(r"[A-Za-z0-9_.-]+")
+"""What LeRobot has in a feature's name, less what is special in paths and patterns."""
 
 
 class AppendConfig(ReleaseConfig, frozen=True):
@@ -95,7 +99,6 @@ def _write(
         "max_episode_steps": config.max_episode_steps,
         "pictures": config.pictures,
     }
-    parts = [name.removeprefix(PART) for name in described if name.startswith(PART)]
     with (
         ReleaseWriter(
             folder, config, described, shares_of(config, plays, splits),
@@ -107,7 +110,7 @@ def _write(
             if writer.skip(shares_of(config, [play], splits)):
                 bar.advance(play.log.n_steps)
                 continue
-            for episode in episodes_of_logs(config, [play], splits, parts):
+            for episode in episodes_of_logs(config, [play], splits, described):
                 writer.add(episode)
                 bar.advance(episode.row["steps"])
         return writer.close(tables_of_logs(config, plays, splits, described))
@@ -132,6 +135,8 @@ def _features(config: ReleaseConfig, plays: Sequence[Play], after: Release | Non
                 f"{play.log.path}: its objects are {first.object_names}, those of other logs {names}; logs of "
                 "different models do not go into one release"
             )
+    if odd := [part for part in parts if not _PART_NAME.fullmatch(part)]:
+        raise ArtefactError(f"part {odd[0]!r} of a reward: expected letters, digits, '_', '-' and '.'; rename it")
     if not names:
         places = ", ".join(str(play.log.path) for play in plays) or "no log file"
         raise ArtefactError(f"{places}: no segment to make a release of; collect some steps first")

@@ -29,8 +29,8 @@ from gym_open.formats.releases.layout import (
 )
 from gym_open.formats.releases.schemas import STATISTICS, STATS, content_features
 
-_ROWS = 256
-"""Episodes whose statistics are in memory at a time: some 20 kB each."""
+_ROWS = 128
+"""Episodes whose statistics are in memory as Python objects at a time: some 75 kB each."""
 
 
 def write_meta(

@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 from gym_open.artefacts import SCRATCH, canonical_json, sha256_file, write_atomically
 from gym_open.datasets.lerobot_files import parquet_writer
 
-_GROUP_ROWS = 256
+_GROUP_ROWS = 128
 """Episodes in memory as Python objects at a time: some 75 kB each."""
 
 

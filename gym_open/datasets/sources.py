@@ -14,8 +14,8 @@ from gym_open.datasets.frames import LENGTH_CAP, numbers
 from gym_open.datasets.splits import Unit, unit_of
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases import Release, parquet
-from gym_open.formats.releases.features import schema
-from gym_open.formats.releases.layout import IMAGE, SPLITS, Split, data_path
+from gym_open.formats.releases.features import Features, objects, schema
+from gym_open.formats.releases.layout import IMAGE, PART, SPLITS, Split, data_path
 from gym_open.formats.releases.schemas import EPISODE_ROW, content_features
 
 if TYPE_CHECKING:
@@ -130,7 +130,7 @@ def shares_of(config: ReleaseConfig, plays: Iterable[Play], splits: Mapping[Unit
 
 
 def episodes_of_logs(
-    config: ReleaseConfig, plays: Iterable[Play], splits: Mapping[Unit, Split], parts: Sequence[str]
+    config: ReleaseConfig, plays: Iterable[Play], splits: Mapping[Unit, Split], described: Features
 ) -> Iterator[Episode]:
     """The episodes of all plays, in the order of play, each let go before the next is read.
 
@@ -138,10 +138,19 @@ def episodes_of_logs(
         config: says how long an episode may be.
         plays: of `plays_of`.
         splits: of every unit.
-        parts: names of the parts of the reward that the release has.
+        described: features of the release.
+
+    Raises:
+        ArtefactError: if a log is of another model than `described`, or damaged.
     """
+    parts = [name.removeprefix(PART) for name in described if name.startswith(PART)]
     for play in plays:
         for segment in play.log.segments(config.max_episode_steps):
+            if list(segment.object_names) != objects(described):
+                raise ArtefactError(
+                    f"{play.log.path}: segment {segment.index} has the objects {segment.object_names}, the release "
+                    f"{objects(described)}; logs of different models do not go into one release"
+                )
             split = splits[unit_of(config.split_by, play.stream, segment.puzzle.digest)]
             row = _row(play, segment, split, segment.segment_step // config.max_episode_steps)
             keyframes = [

@@ -259,6 +259,11 @@ def test_several_logs_are_one_release(make_log: MakeLog, tmp_path: Path) -> None
         assert np.isnan(novelty[frames[-1]])
 
 
+def test_a_part_of_a_reward_that_is_no_name_is_refused(make_log: MakeLog, tmp_path: Path) -> None:
+    with pytest.raises(ArtefactError, match=r"'\.\./x' of a reward"):
+        build_release(CONFIG, [make_log(lengths=((3,),), reward_parts=("../x",))], tmp_path / "r")
+
+
 def test_every_keyframe_of_the_log_is_in_one_episode(make_log: MakeLog, tmp_path: Path) -> None:
     log = make_log(lengths=((12, 5, 8),), keyframe_every=4)
     release = open_release(build_release(ReleaseConfig(max_episode_steps=8), [log], tmp_path / "r").path)
