@@ -124,6 +124,11 @@ class Player:
             _note(window, diverged=False)
         self._compare(window, seen, names, contact_error=error or 0.0)
 
+    def see(self, seen: Moment, names: tuple[str, ...]) -> None:
+        """Compare this moment once more, as it was recorded a second time: where one episode goes on in the next."""
+        if self._window is not None:
+            self._compare(self._window, seen, names, contact_error=0.0)
+
     def finish(self) -> Window | None:
         """End the window that was going on, and give it."""
         window, self._window = self._window, None

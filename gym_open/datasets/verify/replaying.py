@@ -8,6 +8,7 @@ import numpy as np
 from rich.table import Table
 
 from gym_open import progress
+from gym_open.datasets.frames import LENGTH_CAP
 from gym_open.datasets.verify.report import Findings, rows_of
 from gym_open.datasets.verify.tables import puzzles_of
 from gym_open.envs.physics.contacts import Contact
@@ -53,18 +54,17 @@ def replay_release(release: Release, tolerance: float, findings: Findings) -> Re
     played = _Played(release, player)
     with progress.bar("replaying", int(release.episodes["steps"].sum())) as bar:
         for row in rows_of(release.episodes):
-            file = data_path(row["data/chunk_index"], row["data/file_index"])
-            windows: list[Window] = []
             try:
-                windows += played.episode(row)
+                done.windows += played.episode(row)
             except GymOpenError as error:
-                findings.add(file, f"episode {row['episode_index']}: cannot be replayed: {error}")
-            for window in windows:
-                if window.verdict == "diverged":
-                    findings.add(file, f"episode {row['episode_index']}: {_difference(window)}")
-            done.windows += windows
-            done.steps += sum(window.steps for window in windows)
+                findings.add(played.file, f"episode {row['episode_index']}: cannot be replayed: {error}")
+                player.finish()
             bar.advance(row["steps"], f"episode {row['episode_index']}")
+    done.windows += played.finish()
+    done.steps = sum(window.steps for window in done.windows)
+    for window in done.windows:
+        if window.verdict == "diverged":
+            findings.add(*_difference(window, release))
     done.skipped = played.skipped
     by_number: dict[int, list[Window]] = {}
     for window in done.windows:
@@ -75,13 +75,17 @@ def replay_release(release: Release, tolerance: float, findings: Findings) -> Re
     return done
 
 
-def _difference(window: Window) -> str:
-    """Where and by how much a window diverged, in words."""
+def _difference(window: Window, release: Release) -> tuple[str, str]:
+    """In which file a window diverged, and where and by how much, in words."""
+    rows = release.episodes
+    rows = rows[(rows["stream"] == window.stream) & (rows["segment"] == window.segment)].sort_values("piece")
+    (row,) = rows_of(rows[rows["first_step"] <= (window.first_diverged or 0)].tail(1))
     off = max(window.state_error, key=window.state_error.__getitem__, default=None)
     parts = [] if off is None else [f"{off} off by {window.state_error[off]:.2g}"]
     parts += [f"contacts off in {window.contact_steps} step(s)"] if window.contact_steps else []
     parts += [f"{window.pixels:,} pixel(s) of {window.pictures} picture(s)"] if window.pixels else []
-    return f"diverged in the replay at step {window.first_diverged} of stream {window.stream} ({', '.join(parts)})"
+    where = f"episode {row['episode_index']}: diverged in the replay at step {window.first_diverged} of its stream"
+    return data_path(row["data/chunk_index"], row["data/file_index"]), f"{where} ({', '.join(parts)})"
 
 
 class _Played:
@@ -94,49 +98,51 @@ class _Played:
         places = zip(frames["episode_index"].tolist(), frames["frame_index"].tolist(), strict=True)
         self._rows = {place: i for i, place in enumerate(places)}
         self._states = frames["integration_state"].tolist()
-        self._starts = {
-            (row["stream"], row["segment"], row["piece"]): row["episode_index"] for row in rows_of(release.episodes)
-        }
         self.skipped = 0
+        self.file = ""
+        """Where the episode in hand lies."""
+        self._next: tuple[int, int, int] | None = None
+        """Stream, segment and piece that would go on from where the world is now."""
 
     def episode(self, row: dict[str, Any]) -> Iterator[Window]:
-        """Play an episode; every window of it.
+        """Play an episode; every window that ends in it. One goes on in the next episode, if that is the next piece.
 
         Raises:
             GymOpenError: if something of it cannot be played by this version.
         """
         player, number, steps = self._player, row["episode_index"], row["steps"]
-        player.finish()
+        place = row["stream"], row["segment"], row["piece"]
+        self.file = data_path(row["data/chunk_index"], row["data/file_index"])
+        if place != self._next:
+            yield from self.finish()
+        self._next = (*place[:2], place[2] + 1) if row["ended"] == LENGTH_CAP else None
         names = player.world.inventory
         values = self._release.numbers(row["dataset_from_index"], row["dataset_to_index"])
         images = self._release.images(range(row["dataset_from_index"], row["dataset_to_index"]))
         states = values["observation.environment_state"].reshape(steps + 1, -1, len(STATE_FIELDS))
+        player.see(Moment(states[0], images[0]), names)
         for i in range(steps + 1):
-            if (place := self._rows.get((number, i))) is not None:
-                if player.window is None:
-                    player.load(self._puzzles[row["stream"], row["world"]])
-                state = self._states[place]
-                player.arrive(state)
-                if window := player.finish():
-                    yield window
-                player.begin(Window(row["stream"], row["segment"], row["first_step"] + i), state,
-                             Moment(states[i], images[i]), names)  # fmt: skip
-            if i == steps:
-                break
-            if player.window is None:
+            if (frame := self._rows.get((number, i))) is not None:
+                yield from self._restart(row, i, self._states[frame], Moment(states[i], images[i]))
+            if i < steps and player.window is None:
                 self.skipped += 1
-            else:
+            elif i < steps:
                 against = _against(*(values[f"contact.{name}"][i] for name in ("count", "agent", "impulse")))
                 player.step(int(values["action.index"][i]), against, Moment(states[i + 1], images[i + 1]), names)
-        self._arrive_in_next(row)
-        if window := player.finish():
-            yield window
 
-    def _arrive_in_next(self, row: dict[str, Any]) -> None:
-        """Hold the end of an episode against the state with which its next piece begins."""
-        following = self._starts.get((row["stream"], row["segment"], row["piece"] + 1))
-        if following is not None and (place := self._rows.get((following, 0))) is not None:
-            self._player.arrive(self._states[place])
+    def finish(self) -> list[Window]:
+        """The window that was going on, if there is one."""
+        window = self._player.finish()
+        return [] if window is None else [window]
+
+    def _restart(self, row: dict[str, Any], i: int, state: np.ndarray, seen: Moment) -> Iterator[Window]:
+        """End a window at frame `i` of an episode, and begin the next one in the stored state."""
+        player = self._player
+        if player.window is None:
+            player.load(self._puzzles[row["stream"], row["world"]])
+        player.arrive(state)
+        yield from self.finish()
+        player.begin(Window(row["stream"], row["segment"], row["first_step"] + i), state, seen, player.world.inventory)
 
 
 def _against(count: int, agent: int, impulse: np.float32) -> Callable[[tuple[Contact, ...]], float | None]:

@@ -145,6 +145,9 @@ def _check_keyframes(release: Release, findings: Findings) -> None:
         & (begins == begins.groupby([rows["stream"], rows["segment"]]).transform("first")).to_numpy()
     )
     _tell(findings, KEYFRAMES, frames[~good], ["episode_index", "frame_index"], "is not of that episode and frame")
+    begun = frames.loc[frames["frame_index"] == 0, "episode_index"]
+    lacking = release.episodes[(release.episodes["piece"] == 0) & ~release.episodes["episode_index"].isin(begun)]
+    _tell(findings, KEYFRAMES, lacking, ["episode_index"], "begins a segment, and there is no state of its beginning")
     finite = frames["integration_state"].map(lambda state: bool(np.isfinite(state).all()))
     _tell(findings, KEYFRAMES, frames[~finite.astype(bool)], ["episode_index", "frame_index"], "is not finite")
 

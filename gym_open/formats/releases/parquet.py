@@ -46,13 +46,13 @@ def metadata(path: Path) -> "pq.FileMetaData":
 
 
 def read(
-    path: Path, schema: "pa.Schema", columns: Sequence[str] | None = None, groups: Sequence[int] | None = None
+    path: Path, schema: "pa.Schema | None", columns: Sequence[str] | None = None, groups: Sequence[int] | None = None
 ) -> "pa.Table":
     """Columns and row groups (all, if not given) of the file at `path`, in the order of the schema.
 
     Args:
         path: of the file.
-        schema: the columns that the file must have, in whatever order.
+        schema: the columns that the file must have, in whatever order; None for those that it has.
         columns: names; a part of a struct as `name.part`.
         groups: numbers of row groups.
 
@@ -62,18 +62,20 @@ def read(
     import pyarrow as pa
 
     with opened(path) as file:
-        if wrong := _difference(file.schema_arrow, schema):
+        expected: pa.Schema = file.schema_arrow if schema is None else schema
+        if wrong := _difference(file.schema_arrow, expected):
             raise ParquetError(f"{path}: {wrong}; {_REMEDY}")
-        chosen = range(file.metadata.num_row_groups) if groups is None else groups
+        rows = [file.metadata.row_group(group).num_rows for group in range(file.metadata.num_row_groups)]
+        chosen = [group for group in (range(len(rows)) if groups is None else groups) if rows[group]]
         check_pages(path, file.metadata, columns, chosen)
         try:
-            table = file.read_row_groups(list(chosen), columns=None if columns is None else list(columns))
+            table = file.read_row_groups(chosen, columns=None if columns is None else list(columns))
             table.validate(full=True)
         except (pa.ArrowException, OSError) as error:
             raise ParquetError(f"{path}: cannot be unpacked: {error}; {_REMEDY}") from None
-    if len(table) != sum(file.metadata.row_group(group).num_rows for group in chosen):
+    if len(table) != sum(rows[group] for group in chosen):
         raise ParquetError(f"{path}: {len(table)} rows where its footer tells of others; {_REMEDY}")
-    return table.select([name for name in schema.names if name in table.column_names])
+    return table.select([name for name in expected.names if name in table.column_names])
 
 
 def opened(path: Path) -> "pq.ParquetFile":
@@ -119,7 +121,7 @@ def _check_footer(path: Path, found: "pq.FileMetaData", size: int, end: int) -> 
         raise ParquetError(f"{path}: {found.num_rows:,} rows in {size:,} bytes and {len(rows)} groups; {_REMEDY}")
     for number in range(found.num_row_groups):
         group, total = found.row_group(number), 0
-        for place in range(group.num_columns):
+        for place in range(group.num_columns if group.num_rows else 0):  # one without rows is never read
             chunk = group.column(place)
             total += chunk.total_uncompressed_size
             start, length = chunk.data_page_offset, chunk.total_compressed_size

@@ -18,7 +18,8 @@ from gym_open.collect.config import CollectConfig, CurriculumConfig, LogConfig
 from gym_open.collect.explore import collect
 from gym_open.datasets import build, papers
 from gym_open.datasets.build import build_release
-from gym_open.datasets.config import ReleaseConfig
+from gym_open.datasets.config import FilterConfig, ReleaseConfig
+from gym_open.datasets.filter import filter_release
 from gym_open.datasets.sources import Episode, episodes_of_logs
 from gym_open.datasets.verify import Report, run, verify_release
 from gym_open.formats.pictures import encode_png
@@ -31,7 +32,7 @@ EVERY = 8
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Random play: two streams of 24 steps, in segments of 16 and 8."""
+    """Random play: two streams of 24 steps, a segment each."""
     config = CollectConfig(
         steps=48, streams=2, rollout=8, pool=2, probe=16, checkpoint_every=8, threads=1, seed=1,
         explorer=ExplorerConfig(world_model="none", reward="none"),
@@ -85,11 +86,19 @@ def test_real_play_is_replayed_to_the_bit(root: Path, verify: Verify) -> None:
     assert report.replayed
 
 
-def test_steps_before_the_first_state_of_an_episode_are_counted(log: Path, tmp_path: Path, verify: Verify) -> None:
-    """Cut every 12 steps, the second piece of a segment of 16 begins 4 steps after the state at 8, and has none."""
-    report = verify(made(log, tmp_path / "1.0.0", cap=12))
+def test_windows_go_on_in_the_next_piece_and_what_no_state_comes_before_is_counted(
+    log: Path, tmp_path: Path, verify: Verify, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Segments of 24 steps, cut at 12, with states at 0, 8 and 16. A piece without the one before begins at 16."""
+    monkeypatch.setattr(papers, "draw", lambda _: {})
+    whole = made(log, tmp_path / "1.0.0", cap=12)
+    report = verify(whole)
+    assert (report.problems, outcome(report, "replay")) == ([], "identical (48 steps in 6 windows)")
+    some = filter_release(FilterConfig(name="open/touched", min_contact=0.1), whole, tmp_path / "touched").path
+    assert open_release(some).episodes["piece"].tolist().count(1) == 2
+    report = verify(some)
     assert report.problems == []
-    assert outcome(report, "replay").startswith("identical (40 steps in 6 windows, 8 not replayed")
+    assert outcome(report, "replay").startswith("identical (32 steps in 4 windows, 4 not replayed")
 
 
 def at(row: dict[str, Any], **values: Any) -> bool:
@@ -253,7 +262,7 @@ def lost_episode(root: Path) -> str:
 
 def lost_keyframes(root: Path) -> str:
     edit_table(root, "meta/keyframes/file-000.parquet", lambda t: t.slice(0, 0))
-    return "meta/keyframes/file-000.parquet"
+    return "no state of its beginning"
 
 
 def other_frame_of_keyframe(root: Path) -> str:
