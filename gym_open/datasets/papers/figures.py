@@ -111,12 +111,12 @@ def _coverage(facts: Facts) -> "Figure":
     columns = min(len(shown), 4)
     rows = -(-len(shown) // columns)
     figure = Figure(figsize=(max(2.4 * columns, 3.6) + 1, 3.9 * rows + 0.4), dpi=100, layout="constrained")
-    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    panels = figure.subplots(rows, columns, squeeze=False, sharey=True).ravel()
     shares = [one.visits / max(one.visits.sum(), 1) for one in shown]
     norm = LogNorm(min(share[share > 0].min() for share in shares) / 2, max(share.max() for share in shares))
     image = None
     for axes, one, share in zip(panels, shown, shares, strict=False):
-        axes.set(title=_name(one.explorer), xlabel="x (m)", ylabel="y (m)")
+        axes.set(title=_name(one.explorer), xlabel="x (m)")
         axes.patch.set(hatch="///", edgecolor="#BBBBBB")
         image = axes.imshow(
             np.ma.masked_equal(share, 0), origin="lower", cmap="cividis", norm=norm,
@@ -124,10 +124,12 @@ def _coverage(facts: Facts) -> "Figure":
         )  # fmt: skip
     for axes in panels[len(shown) :]:
         axes.set_visible(False)
+    for axes in panels[::columns]:
+        axes.set_ylabel("y (m)")
     assert image is not None
     bar = figure.colorbar(image, ax=list(panels), label="share of the frames (hatched: never there)")
     bar.ax.yaxis.set_major_formatter(lambda value, _: f"{value:.3%}".rstrip("0%").rstrip(".") + "%")
-    figure.suptitle("Where the agent was, in squares of 5 cm, seen from above; the camera stands at the bottom left")
+    figure.suptitle("Where the agent was, seen from above\n(squares of 5 cm; camera at the bottom left)", fontsize=11)
     return figure
 
 
