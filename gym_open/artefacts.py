@@ -12,8 +12,6 @@ inputs give the same digest in any folder. It is written in a hidden sibling fol
 A release may have a signature.json beside them: it signs the manifest, so it cannot be in it.
 """
 
-import errno
-import fcntl
 import functools
 import hashlib
 import importlib.metadata
@@ -23,7 +21,7 @@ import re
 import shutil
 import stat
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +30,7 @@ import msgspec
 import gym_open
 from gym_open.config import Config, to_dict
 from gym_open.errors import ArtefactError, UsageError
+from gym_open.files import FULL, lock, sha256_file, unwritable, write_atomically
 
 CONFIG, LINEAGE, MANIFEST = "config.json", "lineage.json", "manifest.json"
 SIGNATURE = "signature.json"
@@ -43,9 +42,6 @@ _MAX_RECORD_BYTES = 2**26
 """A manifest or lineage is refused above this size: fifty times what a large release has."""
 _PART = re.compile(r"[A-Za-z0-9_+=,@-][A-Za-z0-9_+=,@.-]*")
 """Part of a file's name in an artefact: nothing hidden, no way up, nothing that a shell or terminal takes amiss."""
-
-_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-"""What writing to a full disk raises, often without the file's name."""
 
 RECORDED_PACKAGES = ("lerobot", "mcap", "mujoco", "mujoco-core", "numba", "numpy", "pyarrow", "torch")
 
@@ -95,12 +91,6 @@ class Outcome(msgspec.Struct, frozen=True):
     """Made now, or found up to date."""
     earlier: Path | None = None
     """Where an artefact of other inputs, which stood at `path` before, was put aside."""
-
-
-def sha256_file(path: Path) -> str:
-    """SHA-256 of a file's bytes, in hex."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def canonical_json(value: Any) -> bytes:
@@ -319,13 +309,13 @@ def build(
             )
     partial = out.parent / f".{out.name}.partial"
     partial.parent.mkdir(parents=True, exist_ok=True)
-    with _lock(out):
+    with lock(out):
         _claim(partial, key)
         try:
             facts = dict(work(partial))
         except OSError as error:
-            if error.errno in _FULL:
-                raise _unwritable(Path(error.filename or partial), error) from error
+            if error.errno in FULL:
+                raise unwritable(Path(error.filename or partial), error) from error
             raise
         record = Lineage(kind=kind, key=key, code=code_version(), packages=_packages(), facts=facts, parents=inputs)
         _seal(partial, config, record)
@@ -375,44 +365,3 @@ def _seal(partial: Path, config: Config, record: Lineage) -> None:
     }
     write_atomically(partial / MANIFEST, canonical_json(entries))
     shutil.rmtree(partial / SCRATCH)  # last: until then a kill leaves a folder that the same command goes on from
-
-
-def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file beside, flush it to disk, then rename: readers see the old bytes or the new, never half.
-
-    Raises:
-        ArtefactError: if it cannot be written, as on a full disk; what was there before is kept.
-    """
-    beside = path.with_name(f".{path.name}.tmp")
-    try:
-        with beside.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        beside.rename(path)
-    except OSError as error:
-        raise _unwritable(path, error) from error
-    finally:
-        with suppress(OSError):
-            beside.unlink(missing_ok=True)
-
-
-def _unwritable(path: Path, error: OSError) -> ArtefactError:
-    return ArtefactError(
-        f"{path}: cannot be written ({error.strerror or error}); what was there before is kept: make room, or make its "
-        "folder writable, then run the same command again"
-    )
-
-
-@contextmanager
-def _lock(out: Path) -> Iterator[None]:
-    lock = out.parent / f".{out.name}.lock"
-    with lock.open("w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise UsageError(
-                f"{out}: another gym-open process is writing it; wait for it or give another --out"
-            ) from None
-        yield
-        lock.unlink(missing_ok=True)

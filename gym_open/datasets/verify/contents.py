@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from itertools import groupby
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,8 @@ from gym_open.formats.releases.schemas import STATS, episodes_schema
 
 _ROUNDING = 1e-9
 """Relative error of a mean or deviation that another processor's order of adding may make."""
+_ROWS = 256
+"""Episodes whose statistics are Python objects at a time."""
 _PADDED = (
     *("reward.intrinsic", "policy.entropy", "policy.value"),
     *("contact.count", "contact.agent", "contact.impulse"),
@@ -149,13 +152,18 @@ def _statistics(release: Release) -> Iterator[dict[str, Stats]]:
     names = [name for name in columns.names if name.startswith(STATS)]
     for path in sorted(release.root.glob(EPISODES_PATHS)):
         for group in range(parquet.metadata(path).num_row_groups):
-            for row in parquet.read(path, columns, names, [group]).to_pylist():
-                try:
-                    yield {
-                        name: read_stats({key: row[f"{STATS}{name}/{key}"] for key in STATISTICS}) for name in described
-                    }
-                except (TypeError, ValueError, IndexError) as error:
-                    raise ArtefactError(f"{path}: statistics that are none: {error}; get the release anew") from None
+            for batch in parquet.read(path, columns, names, [group]).to_batches(_ROWS):
+                yield from _read_statistics(path, batch.to_pylist(), described)
+
+
+def _read_statistics(
+    path: Path, rows: list[dict[str, Any]], described: Mapping[str, Any]
+) -> Iterator[dict[str, Stats]]:
+    try:
+        for row in rows:
+            yield {name: read_stats({key: row[f"{STATS}{name}/{key}"] for key in STATISTICS}) for name in described}
+    except (TypeError, ValueError, IndexError) as error:
+        raise ArtefactError(f"{path}: statistics that are none: {error}; get the release anew") from None
 
 
 def _alike(one: Stats, other: Stats) -> bool:

@@ -1,0 +1,67 @@
+"""Files written whole or not at all, hashed, and folders that one process writes at a time."""
+
+import errno
+import fcntl
+import hashlib
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from gym_open.errors import ArtefactError, UsageError
+
+FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+"""What writing to a full disk raises, often without the file's name."""
+
+
+def sha256_file(path: Path) -> str:
+    """SHA-256 of a file's bytes, in hex."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Write a file beside, flush it to disk, then rename: readers see the old bytes or the new, never half.
+
+    Raises:
+        ArtefactError: if it cannot be written, as on a full disk; what was there before is kept.
+    """
+    beside = path.with_name(f".{path.name}.tmp")
+    try:
+        with beside.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        beside.rename(path)
+    except OSError as error:
+        raise unwritable(path, error) from error
+    finally:
+        with suppress(OSError):
+            beside.unlink(missing_ok=True)
+
+
+def unwritable(path: Path, error: OSError) -> ArtefactError:
+    """What to raise where `path` could not be written: it says why, and what to do."""
+    return ArtefactError(
+        f"{path}: cannot be written ({error.strerror or error}); what was there before is kept: make room, or make its "
+        "folder writable, then run the same command again"
+    )
+
+
+@contextmanager
+def lock(out: Path) -> Iterator[None]:
+    """Hold `out` against other processes, by a file beside it.
+
+    Raises:
+        UsageError: if another process holds it.
+    """
+    mark = out.parent / f".{out.name}.lock"
+    with mark.open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise UsageError(
+                f"{out}: another gym-open process is writing it; wait for it or give another --out"
+            ) from None
+        yield
+        mark.unlink(missing_ok=True)
