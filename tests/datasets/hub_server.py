@@ -61,6 +61,8 @@ class Hub:
     """Every request, as METHOD and path."""
     garble: Callable[[str, bytes], bytes] = lambda _, data: data
     """What is sent instead of a file's bytes."""
+    ignored: frozenset[str] = frozenset()
+    """Names that a .gitignore of the repository would hold."""
     broken: Callable[[str, str], bool] = lambda *_: False
     """Of which requests (method, path) the connection is cut."""
 
@@ -183,7 +185,14 @@ class Handler(BaseHTTPRequestHandler):
         for item in self._json["files"]:
             path, large = item["path"], item["path"].endswith(LARGE)
             oid = (sha256 if large else git_oid)(there[path]) if path in there else None
-            files.append({"path": path, "uploadMode": "lfs" if large else "regular", "shouldIgnore": False, "oid": oid})
+            files.append(
+                {
+                    "path": path,
+                    "uploadMode": "lfs" if large else "regular",
+                    "shouldIgnore": path in self.hub.ignored,
+                    "oid": oid,
+                }
+            )
         return {"files": files}
 
     def on_batch(self, repo: str) -> Any:

@@ -163,6 +163,13 @@ def test_an_interrupted_push_is_repeated(hub: Hub, release: Path, monkeypatch: p
     assert published(hub, "v1.0.0") == published(hub, "v3.0") == files(release)
 
 
+def test_what_the_hub_does_not_take_is_not_tagged(hub: Hub, release: Path) -> None:
+    hub.ignored = frozenset({"LICENSE", "meta/stats.json"})
+    with pytest.raises(GymOpenError, match=r"did not take LICENSE, meta/stats\.json as sent"):
+        push(release, hub)
+    assert hub.repos[REPO].tags == {}
+
+
 def test_a_damaged_release_is_not_pushed(hub: Hub, release: Path) -> None:
     path = release / "meta/stats.json"
     path.write_bytes(path.read_bytes() + b" ")
@@ -293,17 +300,28 @@ def test_missing_things_are_said(there: Hub, tmp_path: Path) -> None:
 
 
 def test_errors_of_the_network_say_what_to_do_and_tell_no_token(
-    hub: Hub, release: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    hub: Hub, release: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("HF_TOKEN", "hf_secret")
     with pytest.raises(GymOpenError, match="log in") as refused:
         push(release, hub)
     with pytest.raises(GymOpenError, match="cannot be reached") as nobody:
         push_release(release, REPO, send=True, endpoint="http://127.0.0.1:9")
-    monkeypatch.setattr("huggingface_hub.constants.HF_HUB_OFFLINE", True)
-    with pytest.raises(GymOpenError) as offline:
-        pull(tmp_path / "out", hub)
-    assert not any("hf_secret" in str(error.value) for error in (refused, nobody, offline))
+    assert not any("hf_secret" in str(error.value) for error in (refused, nobody))
+
+
+def test_a_client_that_is_told_to_stay_offline_says_so(
+    hub: Hub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from huggingface_hub.utils._http import reset_sessions
+
+    with monkeypatch.context() as patch:
+        patch.setattr("huggingface_hub.constants.HF_HUB_OFFLINE", True)
+        reset_sessions()
+        with pytest.raises(GymOpenError, match="HF_HUB_OFFLINE is set: unset it"):
+            pull(tmp_path / "out", hub)
+    reset_sessions()
+    assert hub.asked == []
 
 
 LOAD = """

@@ -172,6 +172,34 @@ def test_a_version_is_not_changed(parents: Parents, merged: Release) -> None:
 
 
 @pytest.mark.slow
+def test_appended_releases_are_merged_each_split_in_one_piece(
+    make_log: MakeLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gym_open.datasets.verify.run.check_lerobot", lambda *_: None)
+    logs = [make_log(lengths=((5, 9, 3), (6, 2, 4)), seed=seed) for seed in (1, 2)]
+    build_release(CONFIG, logs[:1], tmp_path / "one/1.0.0")
+    minor = ReleaseConfig(**{**_plain(CONFIG), "version": "1.1.0"})
+    appended = open_release(build_release(minor, logs[1:], tmp_path / "one/1.1.0", append=True).path)
+    merged = open_release(merge_releases(MERGED, [appended.root], tmp_path / "both/1.0.0").path)
+    assert verify_release(merged.root, replay=False).problems == []
+    assert appended.table("streams")["log"].tolist() == [0, 0, 0, 0]  # each batch has its own
+    assert merged.table("streams")["log"].tolist() == [0, 0, 1, 1]
+    order = np.argsort(appended.episodes["split"].to_numpy() == "val", kind="stable")
+    keys = ["stream", "segment", "piece", "split"]
+    assert merged.episodes[keys].to_numpy().tolist() == appended.episodes[keys].to_numpy()[order].tolist()
+
+
+@pytest.mark.slow
+def test_video_is_not_coded_twice(parents: Parents, make_log: MakeLog, tmp_path: Path) -> None:
+    config = ReleaseConfig(**{**_plain(CONFIG), "pictures": "video"})
+    video = build_release(config, [make_log()], tmp_path / "video/1.0.0").path
+    with pytest.raises(UsageError, match="would lose more"):
+        merge_releases(MERGED, [video], tmp_path / "out/1.0.0")
+    with pytest.raises(UsageError, match=r"feature 'observation\.image'"):
+        merge_releases(MERGED, [parents.one, video], tmp_path / "out/1.0.0")
+
+
+@pytest.mark.slow
 def test_a_version_that_lies_is_refused(parents: Parents, tmp_path: Path) -> None:
     merge_releases(MERGED, [parents.one], tmp_path / "1.0.0")
     with pytest.raises(ArtefactError, match=r"makes it \d+\.\d+\.\d+"):

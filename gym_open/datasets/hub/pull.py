@@ -1,7 +1,8 @@
 """A version of a release from a hub, verified before it is there."""
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -65,6 +66,21 @@ def pull_release(repo: str, version: str, out: Path, *, send: bool, endpoint: st
     return out
 
 
+@contextmanager
+def _without_bars() -> Iterator[None]:
+    """The client's own bars, one a file, would be drawn over ours."""
+    from huggingface_hub.utils import are_progress_bars_disabled, disable_progress_bars, enable_progress_bars
+
+    if are_progress_bars_disabled():
+        yield
+        return
+    disable_progress_bars()
+    try:
+        yield
+    finally:
+        enable_progress_bars()
+
+
 @dataclass(frozen=True)
 class _Pull:
     """Fetches files of one commit."""
@@ -85,7 +101,7 @@ class _Pull:
         needed, free = sum(entry.bytes for entry in entries.values()), shutil.disk_usage(self.folder).free
         if needed > free:
             raise GymOpenError(f"{out}: {needed:,} bytes are needed there, {free:,} are free; make room, or give --out")
-        with progress.bar("dataset pull", needed) as bar:
+        with _without_bars(), progress.bar("dataset pull", needed) as bar:
             self._listed_file(INFO_PATH, entries[INFO_PATH])
             self._check_told(version)  # before all the rest is fetched
             for name in sorted(entries):
