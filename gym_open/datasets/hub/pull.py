@@ -69,7 +69,7 @@ def pull_release(repo: str, version: str, out: Path, *, send: bool, endpoint: st
 @contextmanager
 def _without_bars() -> Iterator[None]:
     """The client's own bars, one a file, would be drawn over ours."""
-    from huggingface_hub.utils import are_progress_bars_disabled, disable_progress_bars, enable_progress_bars
+    from huggingface_hub.utils.tqdm import are_progress_bars_disabled, disable_progress_bars, enable_progress_bars
 
     if are_progress_bars_disabled():
         yield
