@@ -165,7 +165,7 @@ def _read(path: Path, kind: Any) -> Any:
         return msgspec.json.decode(_record(path), type=kind)
     except FileNotFoundError:
         raise ArtefactError(f"{path}: missing; the artefact is not whole, build it again") from None
-    except (OSError, msgspec.DecodeError, RecursionError) as error:
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ArtefactError(f"{path}: not readable: {error}; build the artefact again") from None
 
 

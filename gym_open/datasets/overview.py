@@ -65,8 +65,8 @@ def _facts(release: Release) -> Table:
     entries = artefacts.manifest(release.root)
     steps = int(episodes["steps"].sum())
     parents = artefacts.lineage(release.root).parents
-    table = _table(f"{release.name} {release.version}", ["", " "], [])
-    table.show_header = False
+    table = Table.grid(padding=(0, 1))  # so that a digest fits into 80 columns
+    table.title, table.title_justify = markup(f"{release.name} {release.version}"), "left"
     for name, value in (
         ("frames", f"{len(release):,} in {len(episodes):,} episodes"),
         ("actions", f"{steps:,}: {steps / fps() / 60:,.1f} simulated minutes"),

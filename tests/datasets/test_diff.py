@@ -157,7 +157,9 @@ def test_a_digest_that_nothing_explains_is_major(first: Release, tmp_path: Path)
     assert diff_releases(first, unsealed(folder)).bump == "major"
 
 
-@pytest.mark.parametrize("content", [b"{", b"[]", b'{"release": 1, "files": {}}', b"[" * 100_000])
+@pytest.mark.parametrize(
+    "content", [b"{", b"[]", b'{"release": "\xff", "files": {}}', b'{"release": 1, "files": {}}', b"[" * 100_000]
+)
 def test_digests_that_are_none(first: Release, tmp_path: Path, content: bytes) -> None:
     folder = edited(first, tmp_path / "1.0.1")
     (folder / "meta/digests.json").write_bytes(content)

@@ -115,7 +115,7 @@ def told(info: Path) -> tuple[str, str]:
     try:
         ours = msgspec.json.decode(info.read_bytes(), type=dict[str, Any])["gym_open"]
         name, version = ours["name"], ours["version"]
-    except (OSError, msgspec.DecodeError, RecursionError, KeyError, TypeError) as error:
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError, KeyError, TypeError) as error:
         raise ArtefactError(f"{info}: not of a release of gym-open: {error}") from None
     if not (isinstance(name, str) and _REPO.fullmatch(name) and isinstance(version, str) and parse(version)):
         raise ArtefactError(f"{info}: expected NAMESPACE/NAME and X.Y.Z as name and version, got {name!r}, {version!r}")

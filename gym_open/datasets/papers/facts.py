@@ -16,6 +16,7 @@ from gym_open.envs.constants import N_ACTIONS, WALL_X, WALL_Y
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases import Release, features, parquet
 from gym_open.formats.releases.layout import DATA_PATHS, PART, SPLITS
+from gym_open.formats.releases.schemas import table_schema
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -185,11 +186,10 @@ def _range(values: np.ndarray) -> Range:
 
 
 def _logs(release: Release) -> Iterator[LogFacts]:
-    import pyarrow.parquet as pq
-
+    schema = table_schema("streams", release.info["features"])
     for batch, path in enumerate(sorted(release.root.glob("meta/streams/file-*.parquet"))):
         streams: dict[tuple[int, str], list[dict[str, Any]]] = {}
-        for row in pq.read_table(path).to_pylist():
+        for row in parquet.read(path, schema).to_pylist():
             streams.setdefault((row["log"], row["config"]), []).append(row)
         for (number, config), rows in streams.items():
             steps = sum(row["steps"] for row in rows)

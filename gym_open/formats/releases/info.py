@@ -83,7 +83,7 @@ def read_json(path: Path, kind: Any) -> Any:
         if (size := path.stat().st_size) > MAX_JSON_BYTES:
             raise ArtefactError(f"{path}: {size:,} bytes, at most {MAX_JSON_BYTES:,} are allowed; get the release anew")
         return msgspec.json.decode(path.read_bytes(), type=kind)
-    except (OSError, msgspec.DecodeError, RecursionError) as error:
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ArtefactError(f"{path}: not readable: {error}; build the release again") from None
 
 

@@ -8,6 +8,8 @@ from pathlib import Path
 import markdown_it
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import yaml
 from hypothesis import given
@@ -102,8 +104,10 @@ def test_a_configuration_that_is_none(release: Release, tmp_path: Path, config: 
     folder = tmp_path / "1.0.0"
     shutil.copytree(release.root, folder)
     path = folder / "meta/streams/file-000.parquet"
-    streams = pd.read_parquet(path).assign(config=config)
-    streams.to_parquet(path)
+    streams = pq.read_table(path)
+    column = streams.schema.get_field_index("config")
+    streams = streams.set_column(column, "config", pa.array([config] * len(streams)))
+    pq.write_table(streams, path, use_dictionary=False)
     with pytest.raises(ArtefactError, match="configuration of log 0"):
         gather(Release(folder, "", release.info))
 
