@@ -23,7 +23,6 @@ TABLES: tuple[Table, ...] = get_args(Table)
 
 INFO_PATH, STATS_PATH, TASKS_PATH = "meta/info.json", "meta/stats.json", "meta/tasks.parquet"
 DIGESTS_PATH = "meta/digests.json"
-EPISODES_PATH = "meta/episodes/chunk-000/file-000.parquet"
 EPISODES_PATHS = "meta/episodes/chunk-000/file-*.parquet"
 DATA_PATHS, VIDEO_PATHS = "data/chunk-*/file-*.parquet", f"videos/{IMAGE}/chunk-*/file-*.mp4"
 DATA_TEMPLATE = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
