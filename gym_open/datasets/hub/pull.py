@@ -143,7 +143,7 @@ class _Pull:
         """The manifest's entries, if a release may hold them all, and the hub says that it has them in these sizes."""
         try:
             entries = msgspec.json.decode((self.folder / MANIFEST).read_bytes(), type=dict[str, Entry])
-        except (msgspec.DecodeError, RecursionError) as error:
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             raise ArtefactError(f"{self.repo}: {MANIFEST} is none of a release: {error}") from None
         for name, entry in entries.items():
             if not belongs(name) or name in {MANIFEST, SIGNATURE}:
