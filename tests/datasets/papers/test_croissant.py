@@ -71,9 +71,8 @@ def test_every_data_file_is_named_with_its_digest(release: Release) -> None:
         assert named[name]["contentSize"] == f"{path.stat().st_size} B"
 
 
-@pytest.mark.parametrize("spdx", ["mit", "cc-by-4.0", "cc0-1.0"])
-def test_the_only_thing_that_can_be_missing_is_a_date(release: Release, tmp_path: Path, spdx: Any) -> None:
-    header = Header(name=release.name, version="2.0.0", license=spdx)
+def test_the_only_thing_that_can_be_missing_is_a_date(release: Release, tmp_path: Path) -> None:
+    header = Header(name=release.name, version="2.0.0", license="cc-by-4.0")
     path = tmp_path / "croissant.json"
     path.write_bytes(msgspec.json.encode(croissant(header, release, "words")))
     with warnings.catch_warnings():
