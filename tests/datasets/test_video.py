@@ -121,6 +121,19 @@ def test_a_file_is_no_longer_than_times_are_exact(
     assert np.array_equal(short.images(range(len(short))), release.images(range(len(release))))
 
 
+def test_an_append_takes_the_videos_over(release: Release, make_log: MakeLog, tmp_path: Path) -> None:
+    config = ReleaseConfig(max_episode_steps=20, val_fraction=0.34, pictures="video", version="1.1.0")
+    more = make_log(lengths=((8, 3),), seed=1)
+    both = open_release(build_release(config, [more], tmp_path / "r", previous=release.root, append=True).path)
+    old = sorted(release.root.glob("videos/**/*.mp4"))
+    assert len(sorted(both.root.glob("videos/**/*.mp4"))) > len(old)
+    for path in old:
+        assert (both.root / path.relative_to(release.root)).read_bytes() == path.read_bytes()
+    assert np.array_equal(both.images(range(len(release))), release.images(range(len(release))))
+    assert len(both.images(range(len(release), len(both)))) == 13
+    assert both.info["gym_open"]["video_error"]["max"] == 0
+
+
 LEROBOT = """
 import sys
 import numpy as np
