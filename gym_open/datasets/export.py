@@ -152,7 +152,7 @@ def _beside(out: Path) -> Iterator[Path]:
     if out.exists():
         raise UsageError(f"{out}: exists; give another --out or remove it")
     out.parent.mkdir(parents=True, exist_ok=True)
-    partial = out.with_name(f".{out.name}.partial")
+    partial = out.absolute().with_name(f".{out.name}.partial")  # Minari joins a relative path to itself
     shutil.rmtree(partial, ignore_errors=True)
     try:
         yield partial
