@@ -190,6 +190,23 @@ def test_appended_releases_are_merged_each_split_in_one_piece(
 
 
 @pytest.mark.slow
+def test_streams_that_were_held_out_are_found_under_their_new_numbers(
+    make_log: MakeLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gym_open.datasets.verify.run.check_lerobot", lambda *_: None)
+    made = []
+    for seed in (1, 2):
+        config = ReleaseConfig(**{**_plain(CONFIG), "split_by": "stream", "seed": seed})
+        log = make_log(lengths=((5, 3), (6, 2), (4,)), seed=seed)
+        made.append(open_release(build_release(config, [log], tmp_path / f"{seed}/1.0.0").path))
+    merged = open_release(merge_releases(MERGED, [one.root for one in made], tmp_path / "both/1.0.0").path)
+    held = [int(stream) + 3 * i for i, one in enumerate(made) for stream in one.info["gym_open"]["val"]]
+    assert merged.info["gym_open"]["val"] == sorted(map(str, held))
+    assert {row["stream"] for row in rows(merged) if row["split"] == "val"} == set(held)
+    assert verify_release(merged.root, replay=False).problems == []
+
+
+@pytest.mark.slow
 def test_video_is_not_coded_twice(parents: Parents, make_log: MakeLog, tmp_path: Path) -> None:
     config = ReleaseConfig(**{**_plain(CONFIG), "pictures": "video"})
     video = build_release(config, [make_log()], tmp_path / "video/1.0.0").path
