@@ -31,7 +31,7 @@ def verify_release(root: Path, *, replay: bool = True, tolerance: float = 1e-3, 
         key: PEM file of the public key that must have signed it.
 
     Raises:
-        UsageError: if the tolerance is no number from 0 on, or there is no folder.
+        UsageError: if the tolerance is no number from 0 on, there is no folder, or the key is none.
     """
     if not 0 <= tolerance < math.inf:
         raise UsageError(f"--tolerance: expected 0 or more, got {tolerance}")
@@ -87,6 +87,8 @@ class _Verification:
         before = self._findings.count
         try:
             outcome = work()
+        except UsageError:  # of a key, which is the caller's
+            raise
         except GymOpenError as error:
             self._findings.add(self._place(str(error)), str(error))
             outcome = ""
