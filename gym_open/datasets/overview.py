@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
+from rich import box
 from rich.table import Table
 
 from gym_open import artefacts
@@ -36,10 +37,9 @@ def list_table(folder: Path) -> Table:
     """
     if not folder.is_dir():
         raise ArtefactError(f"{folder}: no such folder; give one with releases below it")
-    table = _table(
-        f"releases below {folder}", ["name", "version"], ["frames", "episodes", "MB"], ["explorers", "digest"]
-    )
+    table = _table(f"releases below {folder}", ["release"], ["frames", "episodes", "explorers", "MB"], ["digest"])
     table.add_column("folder", overflow="fold")
+    table.box, table.pad_edge = box.SIMPLE_HEAD, False
     rows = [_row(root, folder) for root in _roots(folder)]
     for _, row in sorted(rows):
         table.add_row(*row)
@@ -137,13 +137,12 @@ def _row(root: Path, folder: Path) -> tuple[tuple[str, tuple[int, int, int]], li
     place = root.relative_to(folder).as_posix()
     try:
         release = _look(root)
-        explorers = ", ".join(sorted(release.table("streams")["explorer"].unique()))
+        explorers = release.table("streams")["explorer"].nunique()
         size = payload.total_bytes(artefacts.manifest(root)) / 1e6
     except ArtefactError as error:
-        cells = [markup(root.parent.name), markup(root.name), "", "", "", f"[red]damaged:[/] {markup(str(error))}", ""]
-        return (place, (0, 0, 0)), [*cells, markup(place)]
+        return (place, (0, 0, 0)), [f"[red]damaged:[/] {markup(str(error))}", *[""] * 5, markup(place)]
     cells = [
-        release.name, release.version, f"{len(release):,}", f"{release.info['total_episodes']:,}", f"{size:,.1f}",
-        explorers, release.digest[:12], place,
+        f"{release.name} {release.version}", f"{len(release):,}", f"{release.info['total_episodes']:,}",
+        f"{explorers}", f"{size:,.1f}", release.digest[:8], place,
     ]  # fmt: skip
     return (release.name, parse(release.version) or (0, 0, 0)), [markup(cell) for cell in cells]

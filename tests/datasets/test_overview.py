@@ -68,8 +68,8 @@ def test_list_shows_whole_and_damaged_ones_and_nothing_else(release: Release, tm
     found = {row[-1]: row for row in rows(table)}
     assert set(found) == {"a/b/1.10.0", "a/b/1.9.0", "damaged/\\[red]x/1.0.0"}
     whole = found["a/b/1.9.0"]
-    assert whole[:4] == ["open/explore", "1.0.0", str(len(release)), str(len(release.episodes))]
-    assert whole[6] == release.digest[:12]
+    assert whole[:4] == ["open/explore 1.0.0", str(len(release)), str(len(release.episodes)), "1"]
+    assert whole[5] == release.digest[:8]
     assert "damaged: " in shown(table)
     assert "info.json" in shown(table)
     assert "[red]x" in shown(table)
