@@ -3,7 +3,7 @@
 No frame is read for them: `meta/episodes` has the statistics of each episode, `meta/content` the digests.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -108,7 +108,7 @@ def _digests(folder: Path, described: Features, episodes: pa.Table) -> dict[str,
     tables = {
         name: pa.concat_tables(_read(path) for path in sorted(folder.glob(f"meta/{name}/*.parquet"))) for name in TABLES
     }
-    of_episodes, of_pictures = [], tables["content"][IMAGE].to_pylist()
+    of_pictures = tables["content"][IMAGE].to_pylist()
     facts = episodes.select(content.EPISODE_FACTS).to_pylist()
     hashes = tables["content"].select(content_features(described)).to_pylist()
     of_episodes = [content.episode_digest(*pair) for pair in zip(hashes, facts, strict=True)]
@@ -121,7 +121,7 @@ def _digests(folder: Path, described: Features, episodes: pa.Table) -> dict[str,
     return {"release": release, "files": files}
 
 
-def _files(episodes: pa.Table, name: Any) -> Iterator[tuple[str, slice]]:
+def _files(episodes: pa.Table, name: Callable[[int, int], str]) -> Iterator[tuple[str, slice]]:
     """Every data file, and the episodes in it."""
     places = zip(episodes["data/chunk_index"].to_pylist(), episodes["data/file_index"].to_pylist(), strict=True)
     first = 0
