@@ -86,6 +86,7 @@ def test_real_play_is_replayed_to_the_bit(root: Path, verify: Verify) -> None:
     assert report.replayed
 
 
+@pytest.mark.slow
 def test_windows_go_on_in_the_next_piece_and_what_no_state_comes_before_is_counted(
     log: Path, tmp_path: Path, verify: Verify, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -147,9 +148,13 @@ def one_state(one: Episode) -> Episode:
 
 @pytest.mark.parametrize(
     ("forge", "words"),
-    [(one_action, "off by"), (one_number, "off by 0.01"), (one_contact, "contacts off in 1 step"),
-     (one_state, "off by")],
-)  # fmt: skip
+    [
+        (one_action, "off by"),
+        pytest.param(one_state, "off by", marks=pytest.mark.slow),
+        pytest.param(one_number, "off by 0.01", marks=pytest.mark.slow),
+        pytest.param(one_contact, "contacts off in 1 step", marks=pytest.mark.slow),
+    ],
+)
 def test_what_was_not_played_is_found_by_the_replay_alone(
     forge: Callable[[Episode], Episode], words: str, log: Path, tmp_path: Path, verify: Verify
 ) -> None:
@@ -161,6 +166,7 @@ def test_what_was_not_played_is_found_by_the_replay_alone(
     assert words in problem.what
 
 
+@pytest.mark.slow
 def test_one_level_of_one_pixel_is_told(log: Path, tmp_path: Path, verify: Verify) -> None:
     """Within tolerance, as edges are on another processor, but not identical: the report has the pixel."""
     report = verify(made(log, tmp_path / "1.0.0", forge=first(one_pixel)))
