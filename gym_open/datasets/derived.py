@@ -18,9 +18,8 @@ from gym_open.datasets.sources import Episode, Share, episodes_of_release
 from gym_open.datasets.splits import unit_of
 from gym_open.datasets.versions import latest_below
 from gym_open.datasets.writer import ReleaseWriter, complete
-from gym_open.errors import UsageError
 from gym_open.formats.releases import Release, open_release
-from gym_open.formats.releases.layout import SPLITS, Split, Table
+from gym_open.formats.releases.layout import PART, SPLITS, Split, Table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -38,6 +37,8 @@ class Kept(msgspec.Struct, frozen=True, eq=False):
     """New number of the log of each stream, by the stream's old number."""
     splits: Mapping[str, Split]
     """Split of each layout in the new release; empty if splits go by stream, where they stay as they are."""
+    lacking: Sequence[str]
+    """Parts of the reward that other releases have."""
 
     @property
     def rows(self) -> "pd.DataFrame":
@@ -56,7 +57,9 @@ class Kept(msgspec.Struct, frozen=True, eq=False):
         for episode in episodes_of_release(self.release, self.numbers.tolist()):
             row = {**episode.row, "stream": self.streams[episode.row["stream"]]}
             row["split"] = self.splits.get(row["puzzle"], row["split"])
-            yield msgspec.structs.replace(episode, row=row)
+            nothing = np.full(len(episode.numbers["timestamp"]), np.nan, dtype=np.float32)
+            numbers = {**episode.numbers, **dict.fromkeys(self.lacking, nothing)}
+            yield msgspec.structs.replace(episode, row=row, numbers=numbers)
 
     def table(self, name: Table) -> pa.Table:
         """Rows of `streams`, `worlds` or `switches` of the streams that are kept."""
@@ -80,19 +83,13 @@ def derive(
     config: MergeConfig | FilterConfig, command: Literal["merge", "filter"], out: Path,
     chosen: Sequence[tuple[Release, np.ndarray]], *, workers: int | None, replace: bool,
 ) -> artefacts.Outcome:  # fmt: skip
-    """Make the release `out` of chosen episodes (their numbers, ascending) of releases of the same features and rules.
+    """Make the release `out` of chosen episodes (their numbers, ascending) of releases of the same model and rules.
 
     Raises:
         ArtefactError: if a release is damaged, or the version says other than what was changed since the one before.
-        UsageError: if `out` was made of other inputs and `replace` is false, or a release keeps its pictures as video.
+        UsageError: if `out` was made of other inputs and `replace` is false.
     """
     releases = [release for release, _ in chosen]
-    for release in releases:
-        if release.info["gym_open"]["pictures"] == "video":
-            raise UsageError(
-                f"{release.root}: its pictures are video, which would lose more if it were coded again; build a "
-                "release of the logs, or take one whose pictures are PNG files"
-            )
     previous = latest_below(out, config.version)
     parents = [*(release.root for release in releases), *([previous] if previous else [])]
 
@@ -111,6 +108,7 @@ def _kept(chosen: Sequence[tuple[Release, np.ndarray]]) -> list[Kept]:
         for release, _ in chosen:
             for puzzle, split in release.episodes[["puzzle", "split"]].drop_duplicates().itertuples(index=False):
                 splits[puzzle] = "val" if "val" in {split, splits.get(puzzle)} else "train"
+    parts = {name for release, _ in chosen for name in release.info["features"] if name.startswith(PART)}
     found: list[Kept] = []
     streams, logs = 0, 0
     for release, numbers in chosen:
@@ -127,6 +125,7 @@ def _kept(chosen: Sequence[tuple[Release, np.ndarray]]) -> list[Kept]:
                 streams={row["stream"]: streams + i for i, row in enumerate(kept)},
                 logs={row["stream"]: order[place] for row, place in zip(kept, places, strict=True)},
                 splits=splits,
+                lacking=sorted(parts - set(release.info["features"])),
             )
         )
         streams, logs = streams + len(kept), logs + len(order)
@@ -138,6 +137,7 @@ def _write(
 ) -> dict[str, Any]:
     """Write data and meta and return the facts."""
     info = sources[0].release.info
+    described = {name: feature for source in sources for name, feature in source.release.info["features"].items()}
     split_by = info["gym_open"]["split_by"]
     shares: dict[Split, Share] = {split: Share() for split in SPLITS}
     val: set[str] = set()
@@ -148,7 +148,7 @@ def _write(
     ours = {name: info["gym_open"][name] for name in ("split_by", "max_episode_steps", "pictures")}
     with (
         ReleaseWriter(
-            folder, config, info["features"], shares,
+            folder, config, described, shares,
             ours={**ours, "val": sorted(val)}, data_file_mb=config.data_file_mb, workers=workers,
         ) as writer,
         progress.bar("dataset", sum(int(source.rows["steps"].sum()) for source in sources)) as bar,

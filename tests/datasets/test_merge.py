@@ -148,16 +148,18 @@ def test_an_interrupted_merge_goes_on(
 
 
 def test_what_does_not_go_together_is_named(parents: Parents, make_log: MakeLog, tmp_path: Path) -> None:
-    log = make_log(lengths=((3, 4),), seed=8, reward_parts=("forward",))
-    parts = build_release(CONFIG, [log], tmp_path / "parts/1.0.0").path
-    with pytest.raises(UsageError, match=r"feature 'reward_part\.forward': .*one/1\.0\.0 lacks it"):
-        merge_releases(MERGED, [parents.one, parts], tmp_path / "out/1.0.0")
+    log = make_log(lengths=((3, 4),), seed=8)
+    video = build_release(
+        ReleaseConfig(**{**_plain(CONFIG), "pictures": "video"}), [log], tmp_path / "video/1.0.0"
+    ).path
+    with pytest.raises(UsageError, match=r"differ in the feature 'observation\.image'"):
+        merge_releases(MERGED, [parents.one, video], tmp_path / "out/1.0.0")
     longer = build_release(
         ReleaseConfig(**{**_plain(CONFIG), "max_episode_steps": 5}), [make_log(lengths=((3,),))], tmp_path / "l/1.0.0"
     )
     with pytest.raises(UsageError, match="max_episode_steps 4"):
         merge_releases(MERGED, [parents.one, longer.path], tmp_path / "out/1.0.0")
-    with pytest.raises(UsageError, match="once more"):
+    with pytest.raises(UsageError, match="its episode 0 is episode 0 of"):
         merge_releases(MERGED, [parents.one, parents.one], tmp_path / "out/1.0.0")
     with pytest.raises(UsageError, match="got none"):
         merge_releases(MERGED, [], tmp_path / "out/1.0.0")
@@ -207,13 +209,28 @@ def test_streams_that_were_held_out_are_found_under_their_new_numbers(
 
 
 @pytest.mark.slow
-def test_video_is_not_coded_twice(parents: Parents, make_log: MakeLog, tmp_path: Path) -> None:
+def test_parts_of_rewards_are_not_a_number_where_another_played(
+    parents: Parents, make_log: MakeLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gym_open.datasets.verify.run.check_lerobot", lambda *_: None)
+    log = make_log(lengths=((3, 4),), seed=8, reward_parts=("forward",))
+    parts = open_release(build_release(CONFIG, [log], tmp_path / "parts/1.0.0").path)
+    merged = open_release(merge_releases(MERGED, [parents.one, parts.root], tmp_path / "both/1.0.0").path)
+    theirs = np.isin(merged.column("episode_index"), np.flatnonzero(merged.episodes["stream"] == 3))
+    assert theirs.sum() == len(parts)
+    found = merged.column("reward_part.forward")
+    assert np.isnan(found[~theirs]).all()
+    np.testing.assert_array_equal(found[theirs], parts.column("reward_part.forward"))
+    assert verify_release(merged.root, replay=False).problems == []
+
+
+@pytest.mark.slow
+def test_video_stays_as_it_was(make_log: MakeLog, tmp_path: Path) -> None:
     config = ReleaseConfig(**{**_plain(CONFIG), "pictures": "video"})
-    video = build_release(config, [make_log()], tmp_path / "video/1.0.0").path
-    with pytest.raises(UsageError, match="would lose more"):
-        merge_releases(MERGED, [video], tmp_path / "out/1.0.0")
-    with pytest.raises(UsageError, match=r"feature 'observation\.image'"):
-        merge_releases(MERGED, [parents.one, video], tmp_path / "out/1.0.0")
+    video = open_release(build_release(config, [make_log()], tmp_path / "video/1.0.0").path)
+    merged = open_release(merge_releases(MERGED, [video.root], tmp_path / "both/1.0.0").path)
+    np.testing.assert_array_equal(merged.images(range(len(merged))), video.images(range(len(video))))
+    assert merged.info["gym_open"]["video_error"] == video.info["gym_open"]["video_error"]
 
 
 @pytest.mark.slow

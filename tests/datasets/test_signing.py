@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
+import model_signing
 import numpy as np
 import pytest
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
@@ -21,9 +22,6 @@ from gym_open import artefacts
 from gym_open.config import Config
 from gym_open.datasets.signing import check_signature, sign_release
 from gym_open.errors import ArtefactError, UsageError
-
-# model-signing 1.1.1 imports pyOpenSSL without requiring it; both come with the extra `sign`
-model_signing = pytest.importorskip("model_signing", exc_type=ImportError)
 
 
 class Keys(NamedTuple):

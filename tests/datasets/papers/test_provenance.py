@@ -20,8 +20,7 @@ def said(release: Release) -> dict[str, Any]:
 
 
 def test_it_is_a_statement_of_in_toto_with_a_predicate_of_slsa(said: dict[str, Any]) -> None:
-    json_format = pytest.importorskip("google.protobuf.json_format")
-    pytest.importorskip("in_toto_attestation")
+    from google.protobuf import json_format
     from in_toto_attestation.predicates.provenance.v1 import provenance_pb2
     from in_toto_attestation.v1 import statement_pb2
     from in_toto_attestation.v1.statement import Statement

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from gym_open.datasets.verify import Report
-from gym_open.errors import ArtefactError
+from gym_open.datasets import signing
+from gym_open.datasets.verify import Report, verify_release
+from gym_open.errors import ArtefactError, UsageError
 from gym_open.formats.releases import open_release
 
 Quick = Callable[[Path], Report]
@@ -88,6 +89,30 @@ def test_what_is_whole_is_said_to_be(made_up: Path, quick: Quick) -> None:
     assert (report.problems, report.good) == ([], True)
     assert [check.good for check in report.checks if check.name != "replay"] == [True] * 6
     assert len(report.content) == len(report.digest) == 64
+
+
+def test_what_rests_on_something_unsound_is_not_checked(
+    release: Path, quick: Quick, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> str:
+        raise ArtefactError(f"{release / 'signature.json'}: of another key")
+
+    monkeypatch.setattr(signing, "check_signature", refuse)
+    report = quick(release)  # nothing rests on a signature
+    assert [check.name for check in report.checks if check.good is not True] == ["signature", "replay"]
+    assert [problem.file for problem in report.problems] == ["signature.json"]
+    (release / "LICENSE").write_text("none")
+    report = quick(release)
+    assert [check.good for check in report.checks] == [False] + [None] * 6
+    assert {check.outcome for check in report.checks[1:-1]} == {"not checked: what comes before it is not sound"}
+
+
+def test_a_tolerance_or_folder_that_is_none_is_the_callers_mistake(release: Path, tmp_path: Path) -> None:
+    for wrong in ({"tolerance": float("nan")}, {"tolerance": -1.0}):
+        with pytest.raises(UsageError, match="--tolerance: expected 0 or more"):
+            verify_release(release, replay=False, **wrong)
+    with pytest.raises(UsageError, match="nowhere: no such folder"):
+        verify_release(tmp_path / "nowhere")
 
 
 def test_every_problem_is_told_not_only_the_first(release: Path, quick: Quick) -> None:
