@@ -54,14 +54,11 @@ class _Verification:
     def run(self, replay: bool, tolerance: float) -> Report:
         """Do all checks."""
         report = Report("", [], "", "", self._checks)
-        self._check("bytes", self._bytes)
-        self._check("signature", self._signature, needs=not self._findings.count)
-        self._check("structure", self._structure, needs=not self._findings.count)
-        sound, before = not self._findings.count, self._findings.count
+        sound = self._check("bytes", self._bytes)
+        self._check("signature", self._signature, needs=sound)  # nothing rests on it, nor on the papers
+        sound = self._check("structure", self._structure, needs=sound)
         self._check("papers", self._papers, needs=sound)
-        papers = self._findings.count - before
-        self._check("frames", self._frames, needs=sound)
-        sound = self._findings.count == papers  # nothing rests on the papers
+        sound = self._check("frames", self._frames, needs=sound)
         self._check("readers", self._readers, needs=sound)
 
         def play() -> str:
@@ -79,11 +76,11 @@ class _Verification:
         report.verdict = verdict_of(self._checks, report.problems, self._findings.count)
         return report
 
-    def _check(self, name: str, work: Callable[[], str], *, needs: bool = True) -> None:
-        """Do one check, unless what it rests on is unsound; what it raises is a problem like others."""
+    def _check(self, name: str, work: Callable[[], str], *, needs: bool = True) -> bool:
+        """Do one check, unless what it rests on is unsound; whether all is well. What it raises is a problem, too."""
         if not needs:
             self._checks.append(Check(name, f"{NOT_CHECKED}: what comes before it is not sound", None))
-            return
+            return False
         before = self._findings.count
         try:
             outcome = work()
@@ -97,6 +94,7 @@ class _Verification:
             outcome = ""
         found = self._findings.count - before
         self._checks.append(Check(name, f"{found:,} problem(s)" if found else outcome, not found))
+        return not found
 
     def _place(self, error: str) -> str:
         """The file of the release that an error names, if it does."""
@@ -124,8 +122,9 @@ class _Verification:
     def _structure(self) -> str:
         release = Release(self._root, self._digest, read_info(self._root), cached_groups=CACHED_GROUPS)
         self._release = release
+        before = self._findings.count
         check_files(release, self._names, self._findings)
-        if not self._findings.count:
+        if self._findings.count == before:
             check_episodes(release, self._findings)
             check_info(release, self._findings)
             check_tables(release, self._findings)

@@ -108,9 +108,9 @@ def test_what_rests_on_something_unsound_is_not_checked(
 
 
 def test_a_tolerance_or_folder_that_is_none_is_the_callers_mistake(release: Path, tmp_path: Path) -> None:
-    for wrong in ({"tolerance": float("nan")}, {"tolerance": -1.0}):
+    for tolerance in (float("nan"), -1.0):
         with pytest.raises(UsageError, match="--tolerance: expected 0 or more"):
-            verify_release(release, replay=False, **wrong)
+            verify_release(release, replay=False, tolerance=tolerance)
     with pytest.raises(UsageError, match="nowhere: no such folder"):
         verify_release(tmp_path / "nowhere")
 
