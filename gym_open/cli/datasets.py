@@ -103,8 +103,8 @@ class DatasetDiff(Command):
 
     def run(self) -> None:
         """Compare and print."""
-        from gym_open.datasets.diff import diff_releases, diff_tables
-        from gym_open.datasets.versions import implied
+        from gym_open.datasets.compare.diff import diff_releases, diff_tables
+        from gym_open.datasets.compare.versions import implied
         from gym_open.formats.releases import open_release
 
         one, other = open_release(self.one), open_release(self.other)

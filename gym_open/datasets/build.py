@@ -7,12 +7,12 @@ from typing import Any, Literal
 
 from gym_open import artefacts, progress
 from gym_open.config import to_dict
+from gym_open.datasets.compare.versions import latest_below
 from gym_open.datasets.config import ReleaseConfig
-from gym_open.datasets.sources import Play, episodes_of_logs, plays_of, shares_of, units_of
-from gym_open.datasets.splits import Unit, assign, unit_of
-from gym_open.datasets.tables import tables_of_logs
-from gym_open.datasets.versions import latest_below
-from gym_open.datasets.writer import ReleaseWriter, complete
+from gym_open.datasets.writing.sources import Play, episodes_of_logs, plays_of, shares_of, units_of
+from gym_open.datasets.writing.splits import Unit, assign, unit_of
+from gym_open.datasets.writing.tables import tables_of_logs
+from gym_open.datasets.writing.writer import ReleaseWriter, complete
 from gym_open.errors import ArtefactError, UsageError
 from gym_open.formats.releases import Release, open_release
 from gym_open.formats.releases.features import Features, features, objects

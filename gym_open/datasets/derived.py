@@ -13,11 +13,11 @@ import numpy as np
 import pyarrow as pa
 
 from gym_open import artefacts, progress
+from gym_open.datasets.compare.versions import latest_below
 from gym_open.datasets.config import FilterConfig, MergeConfig
-from gym_open.datasets.sources import Episode, Share, episodes_of_release
-from gym_open.datasets.splits import unit_of
-from gym_open.datasets.versions import latest_below
-from gym_open.datasets.writer import ReleaseWriter, complete
+from gym_open.datasets.writing.sources import Episode, Share, episodes_of_release
+from gym_open.datasets.writing.splits import unit_of
+from gym_open.datasets.writing.writer import ReleaseWriter, complete
 from gym_open.formats.releases import Release, open_release
 from gym_open.formats.releases.layout import PART, SPLITS, Split, Table
 

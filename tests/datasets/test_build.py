@@ -18,8 +18,8 @@ from gym_open import artefacts
 from gym_open.datasets import Release, open_release
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
-from gym_open.datasets.prepare import Prepared, prepare
-from gym_open.datasets.sources import Episode
+from gym_open.datasets.writing.prepare import Prepared, prepare
+from gym_open.datasets.writing.sources import Episode
 from gym_open.errors import ArtefactError, UsageError
 from gym_open.formats.logs.reader import log_files, open_logs
 from gym_open.formats.logs.schemas import Segment
@@ -216,7 +216,7 @@ def test_episodes_that_are_done_in_another_order_give_the_same_bytes(
         order.append(episode.row["first_step"])
         return made
 
-    monkeypatch.setattr("gym_open.datasets.writer.prepare", slowest_first)
+    monkeypatch.setattr("gym_open.datasets.writing.writer.prepare", slowest_first)
     again = build_release(CONFIG, [log], tmp_path / "r", workers=4)
     assert order != sorted(order)
     assert artefacts.digest(again.path) == release.digest

@@ -4,6 +4,7 @@ import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -57,7 +58,7 @@ def test_minari_loads_it(release: Release, tmp_path: Path, monkeypatch: pytest.M
     rows = release.episodes[release.episodes["split"] == "train"].to_dict("records")
     assert dataset.total_episodes == len(rows)
     assert dataset.total_steps == sum(row["steps"] for row in rows)
-    assert dataset.spec.action_space.n == 9
+    assert dataset.spec.action_space == gymnasium.spaces.Discrete(9)
     for episode, row in zip(dataset.iterate_episodes(), rows, strict=True):
         frames = np.arange(row["dataset_from_index"], row["dataset_to_index"])
         steps = frames[:-1]

@@ -10,8 +10,8 @@ import msgspec
 
 from gym_open import artefacts
 from gym_open.artefacts import MANIFEST, SIGNATURE, Entry
+from gym_open.datasets.compare.semver import parse
 from gym_open.datasets.hub.client import check_repo, tags, talking, tree, verified, versions
-from gym_open.datasets.semver import parse
 from gym_open.errors import ArtefactError, GymOpenError, UsageError
 from gym_open.formats.releases.layout import CODEBASE_VERSION
 

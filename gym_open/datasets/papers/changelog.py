@@ -1,8 +1,8 @@
 """CHANGELOG.md: what changed in this version, and below it what the previous release's own says."""
 
-from gym_open.datasets import payload
+from gym_open.datasets.compare import payload
+from gym_open.datasets.compare.diff import diff_releases
 from gym_open.datasets.config import Header
-from gym_open.datasets.diff import diff_releases
 from gym_open.datasets.papers.markdown import plain
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases import Release

@@ -8,7 +8,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from gym_open.datasets import payload
+from gym_open.datasets.compare import payload
 from gym_open.datasets.config import Header
 from gym_open.datasets.papers.licences import URLS
 from gym_open.formats.releases import IMAGE, Release

@@ -12,7 +12,7 @@ from typing import Any
 
 from gym_open import artefacts
 from gym_open.config import to_dict
-from gym_open.datasets import payload
+from gym_open.datasets.compare import payload
 from gym_open.datasets.config import Header
 from gym_open.formats.releases.layout import PROVENANCE
 

@@ -9,9 +9,9 @@ import numpy as np
 import pyarrow as pa
 
 from gym_open import progress
-from gym_open.datasets.frames import NO_ACTION
-from gym_open.datasets.statistics import STATISTICS, Merger, Stats, feature_stats, picture_stats, read_stats
 from gym_open.datasets.verify.report import Findings, rows_of
+from gym_open.datasets.writing.frames import NO_ACTION
+from gym_open.datasets.writing.statistics import STATISTICS, Merger, Stats, feature_stats, picture_stats, read_stats
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases import content, parquet
 from gym_open.formats.releases.features import STATE_FIELDS, fps, objects

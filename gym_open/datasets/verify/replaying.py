@@ -8,9 +8,9 @@ import numpy as np
 from rich.table import Table
 
 from gym_open import progress
-from gym_open.datasets.frames import LENGTH_CAP
 from gym_open.datasets.verify.report import Findings, rows_of
 from gym_open.datasets.verify.tables import puzzles_of
+from gym_open.datasets.writing.frames import LENGTH_CAP
 from gym_open.envs.physics.contacts import Contact
 from gym_open.errors import GymOpenError
 from gym_open.formats.logs.replay_report import by_stream, by_window, worst

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from gym_open.datasets.frames import LENGTH_CAP
 from gym_open.datasets.verify.report import Findings, rows_of
+from gym_open.datasets.writing.frames import LENGTH_CAP
 from gym_open.envs.puzzles import Puzzle
 from gym_open.envs.puzzles.sets import reserved_digests
 from gym_open.errors import GymOpenError

@@ -9,10 +9,10 @@ import pytest
 
 from gym_open.datasets import Release, open_release
 from gym_open.datasets.build import build_release
+from gym_open.datasets.compare.payload import digests
 from gym_open.datasets.config import Header, ReleaseConfig
 from gym_open.datasets.papers.changelog import changelog
 from gym_open.datasets.papers.licences import URLS, licence_text
-from gym_open.datasets.payload import digests
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases.info import read_info
 

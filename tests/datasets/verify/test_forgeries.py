@@ -20,8 +20,8 @@ from gym_open.datasets import build, papers
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import FilterConfig, ReleaseConfig
 from gym_open.datasets.filter import filter_release
-from gym_open.datasets.sources import Episode, episodes_of_logs
 from gym_open.datasets.verify import Report, run, verify_release
+from gym_open.datasets.writing.sources import Episode, episodes_of_logs
 from gym_open.formats.pictures import encode_png
 from gym_open.formats.releases import IMAGE, open_release
 

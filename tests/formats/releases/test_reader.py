@@ -10,10 +10,11 @@ import pandas as pd
 import pytest
 
 from gym_open import artefacts
-from gym_open.datasets import lerobot_files, papers
+from gym_open.datasets import papers
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
-from gym_open.datasets.video import encode_clip
+from gym_open.datasets.writing import lerobot_files
+from gym_open.datasets.writing.video import encode_clip
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases import IMAGE, Release, open_release, videos
 from gym_open.formats.releases.layout import TABLES

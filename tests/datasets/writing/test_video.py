@@ -16,7 +16,7 @@ from gym_open import artefacts
 from gym_open.datasets import Release, open_release
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
-from gym_open.datasets.video import VideoFile, decode_clip, encode_clip, pixel_error
+from gym_open.datasets.writing.video import VideoFile, decode_clip, encode_clip, pixel_error
 
 pytestmark = pytest.mark.usefixtures("no_figures")
 MakeLog = Callable[..., Path]
@@ -85,7 +85,7 @@ def test_the_error_is_numpys() -> None:
 
 def test_the_error_is_on_record(release: Release, monkeypatch: pytest.MonkeyPatch, log: Path, tmp_path: Path) -> None:
     assert release.info["gym_open"]["video_error"] == {"mean": 0.0, "max": 0.0, "psnr": None}
-    monkeypatch.setattr("gym_open.datasets.prepare.encode_clip", lambda images: encode_clip(images ^ 2))
+    monkeypatch.setattr("gym_open.datasets.writing.prepare.encode_clip", lambda images: encode_clip(images ^ 2))
     worse = open_release(build_release(CONFIG, [log], tmp_path / "worse").path)
     error = worse.info["gym_open"]["video_error"]
     assert error["mean"] == pytest.approx(2)
@@ -113,7 +113,7 @@ def test_same_bytes_again(workers: int, log: Path, release: Release, tmp_path: P
 def test_a_file_is_no_longer_than_times_are_exact(
     log: Path, release: Release, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gym_open.datasets.tracks.MAX_FRAMES", 25)
+    monkeypatch.setattr("gym_open.datasets.writing.tracks.MAX_FRAMES", 25)
     short = open_release(build_release(CONFIG, [log], tmp_path / "short").path)
     lengths = short.episodes.groupby(["data/chunk_index", "data/file_index"])["length"].sum()
     assert lengths.max() <= 25

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gym_open.datasets.semver import RANK, parse
-from gym_open.datasets.versions import implied, latest_below
+from gym_open.datasets.compare.semver import RANK, parse
+from gym_open.datasets.compare.versions import implied, latest_below
 from gym_open.errors import ArtefactError
 
 NUMBERS = st.integers(0, 99_999)

@@ -16,8 +16,8 @@ from gym_open import artefacts
 from gym_open.datasets import Release, open_release
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
-from gym_open.datasets.prepare import Prepared, prepare
-from gym_open.datasets.sources import Episode, episodes_of_release
+from gym_open.datasets.writing.prepare import Prepared, prepare
+from gym_open.datasets.writing.sources import Episode, episodes_of_release
 
 pytestmark = pytest.mark.usefixtures("no_figures")
 MakeLog = Callable[..., Path]
@@ -49,7 +49,7 @@ def interrupted(log: Path, out: Path, after: int) -> None:
         return prepare(episode)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gym_open.datasets.writer.prepare", dies)
+        patch.setattr("gym_open.datasets.writing.writer.prepare", dies)
         with pytest.raises(KilledError):
             build_release(CONFIG, [log], out, workers=1)
     assert not out.exists()
@@ -70,7 +70,7 @@ def test_an_interrupted_build_goes_on(
         again.append(episode)
         return prepare(episode)
 
-    monkeypatch.setattr("gym_open.datasets.writer.prepare", counts)
+    monkeypatch.setattr("gym_open.datasets.writing.writer.prepare", counts)
     assert artefacts.digest(build_release(CONFIG, [log], out).path) == release.digest
     assert len(again) == len(release.episodes) - kept
 
@@ -89,7 +89,7 @@ def test_killed_while_the_tables_are_written(log: Path, release: Release, tmp_pa
 
     out = tmp_path / "release"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gym_open.datasets.writer.write_meta", killed)
+        patch.setattr("gym_open.datasets.writing.writer.write_meta", killed)
         with pytest.raises(KilledError):
             build_release(CONFIG, [log], out)
     with pytest.MonkeyPatch.context() as patch:
@@ -100,7 +100,8 @@ def test_killed_while_the_tables_are_written(log: Path, release: Release, tmp_pa
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from gym_open.datasets import papers, writer
+from gym_open.datasets import papers
+    from gym_open.datasets.writing import writer
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
 

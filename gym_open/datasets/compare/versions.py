@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from gym_open.datasets.diff import Diff, diff_releases
-from gym_open.datasets.semver import implied, parse
+from gym_open.datasets.compare.diff import Diff, diff_releases
+from gym_open.datasets.compare.semver import implied, parse
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases import Release
 

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gym_open.datasets.frames import numbers
-from gym_open.datasets.statistics import Merger, Stats, feature_stats, picture_stats
+from gym_open.datasets.writing.frames import numbers
+from gym_open.datasets.writing.statistics import Merger, Stats, feature_stats, picture_stats
 from gym_open.envs.puzzles.generators import sample_puzzle
 from gym_open.formats.logs.schemas import Segment
 from gym_open.formats.pictures import decode_png, encode_png, encode_pngs

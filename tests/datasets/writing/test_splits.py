@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gym_open.datasets.splits import assign, unit_of
+from gym_open.datasets.writing.splits import assign, unit_of
 from gym_open.formats.releases.layout import Split
 
 UNITS = st.sets(st.text("abcdef0123456789", min_size=1, max_size=6), max_size=30)

@@ -5,9 +5,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from gym_open.datasets.sources import Episode
-from gym_open.datasets.statistics import Stats, feature_stats, picture_stats
-from gym_open.datasets.video import decode_clip, encode_clip, pixel_error
+from gym_open.datasets.writing.sources import Episode
+from gym_open.datasets.writing.statistics import Stats, feature_stats, picture_stats
+from gym_open.datasets.writing.video import decode_clip, encode_clip, pixel_error
 from gym_open.formats.pictures import decode_png, encode_pngs
 from gym_open.formats.releases.content import feature_digest
 from gym_open.formats.releases.layout import IMAGE

@@ -18,16 +18,16 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from gym_open.artefacts import SCRATCH
+from gym_open.datasets.compare.versions import check
 from gym_open.datasets.config import Header
-from gym_open.datasets.lerobot_files import write_table
-from gym_open.datasets.meta import write_meta
 from gym_open.datasets.papers import Command, write_papers, write_provenance
-from gym_open.datasets.parts import join
-from gym_open.datasets.prepare import Prepared, prepare
-from gym_open.datasets.sources import Episode, Share
-from gym_open.datasets.tables import segments_of_episodes
-from gym_open.datasets.tracks import CONTENT, Place, Track
-from gym_open.datasets.versions import check
+from gym_open.datasets.writing.lerobot_files import write_table
+from gym_open.datasets.writing.meta import write_meta
+from gym_open.datasets.writing.parts import join
+from gym_open.datasets.writing.prepare import Prepared, prepare
+from gym_open.datasets.writing.sources import Episode, Share
+from gym_open.datasets.writing.tables import segments_of_episodes
+from gym_open.datasets.writing.tracks import CONTENT, Place, Track
 from gym_open.errors import ArtefactError
 from gym_open.formats.pictures import workers as processors
 from gym_open.formats.releases import Release

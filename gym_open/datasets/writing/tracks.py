@@ -7,12 +7,12 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
-from gym_open.datasets.lerobot_files import TASK, DataFile, frames_batch
-from gym_open.datasets.parts import Part
-from gym_open.datasets.prepare import Prepared
-from gym_open.datasets.sources import Episode, KeyframeAt, Share
-from gym_open.datasets.statistics import Stats, feature_stats
-from gym_open.datasets.video import MAX_FRAMES, VideoFile
+from gym_open.datasets.writing.lerobot_files import TASK, DataFile, frames_batch
+from gym_open.datasets.writing.parts import Part
+from gym_open.datasets.writing.prepare import Prepared
+from gym_open.datasets.writing.sources import Episode, KeyframeAt, Share
+from gym_open.datasets.writing.statistics import Stats, feature_stats
+from gym_open.datasets.writing.video import MAX_FRAMES, VideoFile
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases.features import Features, fps
 from gym_open.formats.releases.layout import IMAGE, MAX_FILES, Split, data_path, video_path

@@ -7,8 +7,8 @@ import msgspec
 import pyarrow as pa
 
 from gym_open.datasets.config import ReleaseConfig
-from gym_open.datasets.sources import Play
-from gym_open.datasets.splits import Unit, unit_of
+from gym_open.datasets.writing.sources import Play
+from gym_open.datasets.writing.splits import Unit, unit_of
 from gym_open.formats.releases.features import Features
 from gym_open.formats.releases.layout import Split, Table
 from gym_open.formats.releases.schemas import table_schema

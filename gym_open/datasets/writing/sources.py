@@ -10,8 +10,8 @@ import numpy as np
 from gym_open import artefacts
 from gym_open.agents.config import ExplorerConfig
 from gym_open.datasets.config import ReleaseConfig
-from gym_open.datasets.frames import LENGTH_CAP, numbers
-from gym_open.datasets.splits import Unit, unit_of
+from gym_open.datasets.writing.frames import LENGTH_CAP, numbers
+from gym_open.datasets.writing.splits import Unit, unit_of
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases import Release, parquet
 from gym_open.formats.releases.features import Features, objects, schema

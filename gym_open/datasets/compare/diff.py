@@ -10,9 +10,9 @@ from typing import Any, Literal
 import msgspec
 from rich.table import Table as Shown
 
-from gym_open.datasets import payload
-from gym_open.datasets.episode_diff import episode_meanings
-from gym_open.datasets.semver import RANK, Bump, Meaning, implied
+from gym_open.datasets.compare import payload
+from gym_open.datasets.compare.episode_diff import episode_meanings
+from gym_open.datasets.compare.semver import RANK, Bump, Meaning, implied
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases import Release
 from gym_open.formats.releases.content import table_digest

@@ -19,11 +19,11 @@ from rich.console import Console
 from gym_open import artefacts
 from gym_open.datasets import Release, open_release
 from gym_open.datasets.build import build_release
+from gym_open.datasets.compare.diff import Diff, FileChange, _feature_meanings, diff_releases, diff_tables
+from gym_open.datasets.compare.episode_diff import episode_meanings
+from gym_open.datasets.compare.semver import Meaning
+from gym_open.datasets.compare.versions import check
 from gym_open.datasets.config import ReleaseConfig
-from gym_open.datasets.diff import Diff, FileChange, _feature_meanings, diff_releases, diff_tables
-from gym_open.datasets.episode_diff import episode_meanings
-from gym_open.datasets.semver import Meaning
-from gym_open.datasets.versions import check
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases.info import read_info
 

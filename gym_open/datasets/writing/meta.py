@@ -12,8 +12,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from gym_open.datasets.config import Header
-from gym_open.datasets.lerobot_files import write_info, write_json, write_tasks
-from gym_open.datasets.statistics import Merger, read_stats
+from gym_open.datasets.writing.lerobot_files import write_info, write_json, write_tasks
+from gym_open.datasets.writing.statistics import Merger, read_stats
 from gym_open.formats.releases import content
 from gym_open.formats.releases.features import Features, objects
 from gym_open.formats.releases.layout import (

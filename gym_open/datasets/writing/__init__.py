@@ -1,0 +1,1 @@
+"""Episodes, of logs or of releases, become the files of a release."""

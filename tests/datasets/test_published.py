@@ -1,0 +1,71 @@
+"""What `datasets/published` says of releases is what its own records say; and play from seeds gives a known release."""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from gym_open import artefacts
+from gym_open.cli import main
+from gym_open.formats.releases.content import payload_digest
+from gym_open.formats.releases.layout import RECORDS, belongs
+from gym_open.workspace import template
+
+PUBLISHED = template() / "datasets/published"
+RELEASES = sorted(path.parent for path in PUBLISHED.glob("*/*/*/manifest.json"))
+
+REDUCED = "16d9e468e7e15d7ae111ccdbb3cd6afe58d2837b9d34158e49e355ea54017bab"
+"""Content of the release of 256 steps of plain random play, seed 0, as it came out when it was first made."""
+
+
+def test_there_is_a_release() -> None:
+    assert [path.relative_to(PUBLISHED).as_posix() for path in RELEASES] == ["open/explore-mini/1.0.0"]
+
+
+@pytest.mark.parametrize("root", RELEASES, ids=lambda path: path.relative_to(PUBLISHED).as_posix())
+def test_what_is_kept_of_it_is_what_its_manifest_lists(root: Path) -> None:
+    entries = artefacts.manifest(root)
+    kept = {path.relative_to(root).as_posix() for path in root.rglob("*") if path.is_file()} - {artefacts.MANIFEST}
+    assert kept >= {
+        "README.md",
+        "croissant.json",
+        "meta/digests.json",
+        "meta/stats.json",
+        "rebuild/rebuild.sh",
+        *RECORDS,
+    } - {artefacts.MANIFEST}
+    for name in kept:
+        assert belongs(name)
+        assert artefacts.sha256_file(root / name) == entries[name].sha256
+    digests = msgspec.json.decode((root / "meta/digests.json").read_bytes())
+    row = next(line for line in (PUBLISHED / "README.md").read_text().splitlines() if payload_digest(entries) in line)
+    assert digests["release"] in row
+
+
+def _make(work: Path, workers: int) -> Path:
+    """Play and release, by the commands alone."""
+    log, release = work / "log", work / "open/reduced/1.0.0"
+    settings = ["--config", str(template() / "collect/random.toml"), "--seed", "0"]
+    assert (
+        main(
+            ["collect", *settings, "--steps", "256", "--streams", "2", "--curriculum.interval", "64", "--out", str(log)]
+        )
+        == 0
+    )
+    words = ["--config", str(template() / "datasets/explore-mini.toml"), "--logs", str(log), "--workers", str(workers)]
+    assert main(["dataset", "build", *words, "--name", "open/reduced", "--out", str(release)]) == 0
+    return release
+
+
+def _content(release: Path) -> Mapping[str, Any]:
+    return msgspec.json.decode((release / "meta/digests.json").read_bytes())
+
+
+def test_from_a_seed_comes_the_same_release_anywhere(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    one, other = _make(tmp_path / "a", 1), _make(tmp_path / "another place", 3)
+    assert re.search(r"made .*1\.0\.0", " ".join(capsys.readouterr().out.split()))
+    assert artefacts.digest(one) == artefacts.digest(other)
+    assert _content(one)["release"] == REDUCED
