@@ -29,7 +29,7 @@ import msgspec
 
 import gym_open
 from gym_open.config import Config, to_dict
-from gym_open.errors import ArtefactError, UsageError
+from gym_open.errors import ArtefactError, RefusedError, UsageError
 from gym_open.files import FULL, lock, sha256_file, unwritable, write_atomically
 
 CONFIG, LINEAGE, MANIFEST = "config.json", "lineage.json", "manifest.json"
@@ -43,7 +43,9 @@ _MAX_RECORD_BYTES = 2**26
 _PART = re.compile(r"[A-Za-z0-9_+=,@-][A-Za-z0-9_+=,@.-]*")
 """Part of a file's name in an artefact: nothing hidden, no way up, nothing that a shell or terminal takes amiss."""
 
-RECORDED_PACKAGES = ("lerobot", "mcap", "mujoco", "mujoco-core", "numba", "numpy", "pyarrow", "torch")
+RECORDED_PACKAGES = (
+    "av", "lerobot", "matplotlib", "mcap", "mujoco", "mujoco-core", "numba", "numpy", "pillow", "pyarrow", "torch",
+)  # fmt: skip
 
 
 class Entry(msgspec.Struct, frozen=True):
@@ -291,6 +293,7 @@ def build(
 
     Raises:
         ArtefactError: if a parent is damaged, `out` is something else, or the disk is full.
+        RefusedError: if `work` raises it; nothing of what it made is kept.
         UsageError: if another process is writing `out` now, or it is there, of other inputs, and not to be replaced.
     """
     out = out.absolute()
@@ -313,6 +316,9 @@ def build(
         _claim(partial, key)
         try:
             facts = dict(work(partial))
+        except RefusedError:
+            shutil.rmtree(partial)
+            raise
         except OSError as error:
             if error.errno in FULL:
                 raise unwritable(Path(error.filename or partial), error) from error

@@ -21,3 +21,7 @@ class ConfigError(UsageError):
 
 class ArtefactError(GymOpenError):
     """An artefact on disk is missing, damaged, or not what was asked for."""
+
+
+class RefusedError(ArtefactError):
+    """What was made must not be kept, since something in it is not true."""

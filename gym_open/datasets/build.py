@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from gym_open import artefacts, progress
 from gym_open.config import to_dict
-from gym_open.datasets.compare.versions import latest_below
+from gym_open.datasets.compare.versions import implied, latest_below
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.datasets.writing.sources import Play, episodes_of_logs, plays_of, shares_of, units_of
 from gym_open.datasets.writing.splits import Unit, assign, unit_of
@@ -54,8 +54,8 @@ def build_release(
             log would be in the release twice.
     """
     previous = previous or latest_below(out, config.version)
-    if append and previous is None:
-        raise UsageError(f"{out}: nothing to append to: no version below {config.version} beside it; give --previous")
+    if append:
+        _check_append(config, out, previous)
     _check_new(logs, previous if append else None)
     sealed = AppendConfig(**to_dict(config)) if append else config
 
@@ -68,6 +68,17 @@ def build_release(
         return facts
 
     return artefacts.build(out, kind="release", config=sealed, parents=parents, work=work, replace=replace)
+
+
+def _check_append(config: ReleaseConfig, out: Path, previous: Path | None) -> None:
+    """Raises UsageError, before any work, if there is nothing to append to or the version is not the one that follows."""
+    if previous is None:
+        raise UsageError(f"{out}: nothing to append to: no version below {config.version} beside it; give --previous")
+    honest = implied(open_release(previous).version, "minor")
+    if config.version != honest:
+        raise UsageError(
+            f"version {config.version}: what is appended to {previous} makes it {honest}; give --version {honest}"
+        )
 
 
 def _check_new(logs: Sequence[Path], after: Path | None) -> None:

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from gym_open.config import Config, Fraction, PositiveInt, Seed
-from gym_open.formats.releases.layout import Split
+from gym_open.formats.releases.layout import MAX_EPISODE_STEPS, Split
 
 Name = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9-]*/[a-z0-9][a-z0-9-]*$")]
 Version = Annotated[str, Meta(pattern=r"^(0|[1-9]\d{0,5})\.(0|[1-9]\d{0,5})\.(0|[1-9]\d{0,5})$")]
@@ -34,7 +34,7 @@ class ReleaseConfig(Header, frozen=True):
     """What train and val never share. Worlds are told apart by layout, over all streams."""
     val_fraction: Fraction = 0.1
     """Share of the worlds (or streams) set aside for val, rounded; one at least of each where there are two."""
-    max_episode_steps: PositiveInt = 1024
+    max_episode_steps: Annotated[int, Meta(ge=1, le=MAX_EPISODE_STEPS)] = 1024
     """A longer segment becomes several episodes. Such a cut is no switch: `ended` says `length_cap`. A multiple of the
     logs' distance between keyframes makes every episode begin with one."""
     data_file_mb: PositiveInt = 100

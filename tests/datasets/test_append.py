@@ -12,7 +12,7 @@ from gym_open import artefacts
 from gym_open.datasets import Release, open_release
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
-from gym_open.errors import ArtefactError, UsageError
+from gym_open.errors import RefusedError, UsageError
 
 pytestmark = pytest.mark.usefixtures("no_figures")
 MakeLog = Callable[..., Path]
@@ -143,5 +143,12 @@ def test_no_log_is_in_a_release_twice(first: Release, logs: list[Path], tmp_path
 
 def test_an_append_is_no_patch(first: Release, logs: list[Path], tmp_path: Path) -> None:
     config = ReleaseConfig(max_episode_steps=5, val_fraction=0.34, version="1.0.1")
-    with pytest.raises(ArtefactError, match=r"1\.1\.0"):
+    with pytest.raises(UsageError, match=r"1\.1\.0"):
         build_release(config, logs[1:], tmp_path / "r", previous=first.root, append=True)
+
+
+def test_of_a_version_that_lies_nothing_is_kept(first: Release, logs: list[Path], tmp_path: Path) -> None:
+    config = ReleaseConfig(max_episode_steps=5, val_fraction=0.34, version="1.1.0")
+    with pytest.raises(RefusedError, match=r"2\.0\.0"):
+        build_release(config, logs[1:], tmp_path / "1.1.0", previous=first.root)
+    assert not [path for path in tmp_path.rglob("*") if path.is_file() and path.stat().st_size]

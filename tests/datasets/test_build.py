@@ -167,6 +167,7 @@ np.savez(
 """
 
 
+@pytest.mark.slow  # test_loading has the short one
 def test_plain_lerobot_loads_it_offline(release: Release, tmp_path: Path) -> None:
     offline = {"HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path / "hub"), "HF_DATASETS_OFFLINE": "1"}
     script, out = tmp_path / "load.py", tmp_path / "loaded.npz"

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from gym_open.datasets.compare.diff import Diff, diff_releases
 from gym_open.datasets.compare.semver import implied, parse
-from gym_open.errors import ArtefactError
+from gym_open.errors import RefusedError
 from gym_open.formats.releases import Release
 
 __all__ = ["check", "implied", "latest_below"]
@@ -16,23 +16,23 @@ def check(previous: Release, new: Release) -> Diff:
     `new` may still be without its manifest, as it is just before it is sealed.
 
     Raises:
-        ArtefactError: if nothing changed, or another version is the honest one (which is named), or the two are not of
+        RefusedError: if nothing changed, or another version is the honest one (which is named), or the two are not of
             one name.
     """
     if previous.name != new.name:
-        raise ArtefactError(
+        raise RefusedError(
             f"{previous.root}: holds {previous.name!r} and not {new.name!r}, so it is no earlier version of it; give "
             "another --out, or the right --previous"
         )
     diff = diff_releases(previous, new)
     if diff.bump == "none":
-        raise ArtefactError(
+        raise RefusedError(
             f"{new.name} {new.version}: nothing but version and date differs from {previous.version} "
             f"({previous.root}); a version that brings nothing is refused: keep {previous.version}"
         )
     honest = implied(previous.version, diff.bump)
     if new.version != honest:
-        raise ArtefactError(
+        raise RefusedError(
             f"{new.name}: version {new.version} does not say what changed since {previous.version} ({previous.root}); "
             f"a {diff.bump} change ({diff.meanings[0].text}) makes it {honest}: give --version {honest}"
         )

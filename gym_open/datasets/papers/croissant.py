@@ -48,7 +48,6 @@ def _context() -> dict[str, Any]:
 
 def croissant(header: Header, release: Release, description: str) -> dict[str, Any]:
     """The document, as plain data; only a release without a day of publication lacks something that is recommended."""
-    address = f"https://huggingface.co/datasets/{header.name}"
     return {
         "@context": _context(),
         "@type": "sc:Dataset",
@@ -56,9 +55,9 @@ def croissant(header: Header, release: Release, description: str) -> dict[str, A
         "name": header.name.replace("/", "-"),
         "description": description,
         "license": URLS[header.license],
-        "url": address,
+        "url": f"urn:gym-open:release:{header.name}:{header.version}",
         "version": header.version,
-        "citeAs": _citation(header, address),
+        "citeAs": _citation(header),
         "creator": {"@type": "sc:Organization", "name": f"the authors of {header.name}"},
         "keywords": ["exploration", "reinforcement learning", "robotics", "world models", "MuJoCo"],
         **({"datePublished": header.published} if header.published else {}),
@@ -67,11 +66,11 @@ def croissant(header: Header, release: Release, description: str) -> dict[str, A
     }
 
 
-def _citation(header: Header, address: str) -> str:
+def _citation(header: Header) -> str:
     key = header.name.replace("/", "-")
     year = f", year={{{header.published[:4]}}}" if header.published else ""
     who = f"the authors of {header.name}"
-    return f"@misc{{{key}, author={{{{{who}}}}}, title={{{header.name} {header.version}}}{year}, url={{{address}}}}}"
+    return f"@misc{{{key}, author={{{{{who}}}}}, title={{{header.name} {header.version}}}{year}}}"
 
 
 def _file_objects(release: Release) -> Iterator[dict[str, Any]]:

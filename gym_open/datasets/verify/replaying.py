@@ -67,7 +67,7 @@ def replay_release(release: Release, tolerance: float, findings: Findings) -> Re
             findings.add(*_difference(window, release))
     done.skipped = played.skipped
     by_number: dict[int, list[Window]] = {}
-    for window in done.windows:
+    for window in sorted(done.windows, key=lambda window: window.stream):
         by_number.setdefault(window.stream, []).append(window)
     others = [window for window in done.windows if window.verdict != "identical"]
     others.sort(key=lambda window: -VERDICTS.index(window.verdict))

@@ -95,10 +95,10 @@ def verdict_of(checks: list[Check], problems: list[Problem], count: int) -> str:
         files = Counter(problem.file for problem in problems)
         first = problems[0]
         return printable(
-            f"NOT as it should be: {count:,} problem(s) in {len(files):,} file(s); first {first.file}: {first.what}"
+            f"NOT verified: {count:,} problem(s) in {len(files):,} file(s); first {first.file}: {first.what}"
         ).replace("\n", " ")
     said = {check.name: check.outcome for check in checks}
-    return f"as it should be: {said['structure']}; {printable(said['signature'])}; replay: {said['replay']}"
+    return f"verified: {said['structure']}; {printable(said['signature'])}; replay: {said['replay']}"
 
 
 def _table(title: str, columns: tuple[str, ...]) -> Table:

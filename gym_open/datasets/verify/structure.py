@@ -12,6 +12,7 @@ from gym_open.formats.releases.layout import (
     DIGESTS_PATH,
     IMAGE,
     INFO_PATH,
+    MAX_EPISODE_STEPS,
     SPLITS,
     STATS_PATH,
     TABLES,
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 EPISODES = "meta/episodes"
-MAX_FRAMES = 51_200
-"""Of an episode: LeRobot wants times to 0.1 ms, which float32 has up to 2,048 s. It bounds memory, too."""
 _RECORDS = (DIGESTS_PATH, INFO_PATH, STATS_PATH, TASKS_PATH)
 
 
@@ -106,7 +105,7 @@ def check_episodes(release: Release, findings: Findings) -> None:
     expect(stop - first == frames, "length is not the number of its frames")
     expect((frames == steps + 1) & (steps >= 0), "length is not its steps and one")
     expect(steps <= release.info["gym_open"]["max_episode_steps"], "has more steps than an episode may have")
-    expect(frames <= MAX_FRAMES, "has more frames than timestamps in float32 tell apart")
+    expect(frames <= MAX_EPISODE_STEPS + 1, "has more frames than timestamps in float32 tell apart")
     expect([list(tasks) == [TASK] for tasks in episodes["tasks"]], "has another task")
     expect(episodes["split"].isin(SPLITS).to_numpy(), "is in an unknown split")
     expect((episodes[["stream", "segment", "piece", "world", "first_step"]] >= 0).all(axis=1).to_numpy(),

@@ -14,6 +14,9 @@ PART = "reward_part."
 BOOKKEEPING = ("index", "episode_index", "task_index")
 """Features that number what there is: where an episode stands in a release, nothing of what it holds."""
 
+MAX_EPISODE_STEPS = 51_199
+"""LeRobot wants times to 0.1 ms, which float32 has up to 2,048 s. It bounds memory, too."""
+
 Split = Literal["train", "val"]
 SPLITS: tuple[Split, ...] = get_args(Split)
 """In the order in which a batch holds them."""

@@ -78,7 +78,7 @@ def test_damage_is_found_and_named(damage: Damage, made_up: Path, release: Path,
         named = damage(release, release / names[rng.integers(len(names))], rng)
         report = quick(release)
         assert not report.good
-        assert report.verdict.startswith("NOT as it should be")
+        assert report.verdict.startswith("NOT verified")
         assert any(named in words for problem in report.problems for words in (problem.file, problem.what)), named
         restore(release, made_up, named)
     assert quick(release).good
