@@ -71,7 +71,7 @@ def build_release(
 
 
 def _check_append(config: ReleaseConfig, out: Path, previous: Path | None) -> None:
-    """Raises UsageError, before any work, if there is nothing to append to or the version is not the one that follows."""
+    """Raises UsageError if there is nothing to append to, or the version is not the one that follows."""
     if previous is None:
         raise UsageError(f"{out}: nothing to append to: no version below {config.version} beside it; give --previous")
     honest = implied(open_release(previous).version, "minor")
