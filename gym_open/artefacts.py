@@ -40,6 +40,8 @@ SCRATCH = "checkpoint"
 
 _MAX_RECORD_BYTES = 2**26
 """A manifest or lineage is refused above this size: fifty times what a large release has."""
+MAX_SIGNATURE_BYTES = 2**20
+"""A signature above this size is never read: that of a release with a thousand files has 300 kB."""
 _PART = re.compile(r"[A-Za-z0-9_+=,@-][A-Za-z0-9_+=,@.-]*")
 """Part of a file's name in an artefact: nothing hidden, no way up, nothing that a shell or terminal takes amiss."""
 
@@ -209,7 +211,9 @@ def problems(path: Path, *, hashed: Callable[[str], bool] = lambda _: True) -> I
     yield from (Problem(name, _STRANGE) for name in strange)
     with suppress(ArtefactError):  # a lineage that cannot be read is none of a release
         if SIGNATURE not in listed and lineage(path).kind == "release":
-            present.pop(SIGNATURE, None)
+            size = present.pop(SIGNATURE, 0)
+            if size > MAX_SIGNATURE_BYTES:
+                yield Problem(SIGNATURE, f"{size:,} bytes, at most {MAX_SIGNATURE_BYTES:,} are read; remove it")
     present.pop(MANIFEST, None)
     for name in sorted((listed.keys() | present.keys()) - set(strange)):
         if what := _wrong(path / name, present.get(name), listed.get(name), hashed(name)):

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gym_open import artefacts
-from gym_open.artefacts import SIGNATURE
+from gym_open.artefacts import MAX_SIGNATURE_BYTES, SIGNATURE
 from gym_open.errors import ArtefactError, GymOpenError, UsageError
 
 if TYPE_CHECKING:
@@ -65,6 +65,8 @@ def check_signature(root: Path, key: Path | None) -> str:
         GymOpenError: if there is a key and model-signing is not installed.
     """
     path = root / SIGNATURE
+    if path.is_file() and path.stat().st_size > MAX_SIGNATURE_BYTES:
+        raise ArtefactError(f"{path}: over {MAX_SIGNATURE_BYTES:,} bytes, which no signature has; get it anew")
     if key is None:
         return f"signed by {_hint(path)}, not checked: give --key" if path.exists() else "not signed"
     signing, hashing = _library()

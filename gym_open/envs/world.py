@@ -169,6 +169,11 @@ class World:
         asleep = state[size : size + n]
         if not ((asleep == np.round(asleep)) & (asleep >= AWAKE) & (asleep < n)).all():
             raise ArtefactError("world state: who sleeps is no list of objects; it was damaged, start anew")
+        sleepers = np.flatnonzero(asleep >= 0)
+        if not np.array_equal(np.sort(asleep[sleepers]), sleepers):  # MuJoCo ends the process if it meets no ring
+            raise ArtefactError(
+                "world state: sleepers do not point to one another in rings; it was damaged, start anew"
+            )
         mujoco.mj_resetData(self.model, self.data)
         mujoco.mj_setState(self.model, self.data, state[:size], _STATE)
         self._wake_and_sleep(asleep.astype(np.int32), state[:size])

@@ -170,3 +170,14 @@ def test_a_damaged_release_is_not_signed(copy: Path, keys: Keys) -> None:
     with pytest.raises(ArtefactError, match=r"README\.md"):
         sign_release(copy, keys.private)
     assert not (copy / "signature.json").exists()
+
+
+def test_a_signature_of_gigabytes_is_refused_unread(unsigned: Path, keys: Keys, tmp_path: Path) -> None:
+    root = Path(shutil.copytree(unsigned, tmp_path / "1.0.0"))
+    with (root / "signature.json").open("wb") as file:
+        file.truncate(3 * 2**30)  # sparse: it takes no space, but would take memory
+    for key in (None, keys.public):
+        with pytest.raises(ArtefactError, match=r"signature\.json: over 1,048,576 bytes"):
+            check_signature(root, key)
+    with pytest.raises(ArtefactError, match=r"signature\.json: 3,221,225,472 bytes"):
+        sign_release(root, keys.private)

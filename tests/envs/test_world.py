@@ -14,7 +14,7 @@ from gym_open.envs.physics import model as m
 from gym_open.envs.puzzles import SIDES, TASKS, Patch, Pen, Placement, Puzzle, PuzzleError, Side, Task, arranged
 from gym_open.envs.puzzles.generators import sample_puzzle
 from gym_open.envs.puzzles.sets import test_puzzles as fixed_puzzles
-from gym_open.envs.world import World
+from gym_open.envs.world import GOAL_INDEX, World
 from gym_open.errors import ArtefactError
 
 EAST, NORTH, WEST, SOUTH = 1, 3, 5, 7
@@ -367,3 +367,26 @@ def test_a_damaged_state_is_refused() -> None:
     state[-len(world.inventory) :] = 1e8
     with pytest.raises(ArtefactError, match="damaged"):
         world.restore_state(state)
+
+
+def test_sleepers_that_do_not_point_in_rings_are_refused() -> None:
+    """MuJoCo ends the process when it wakes one whose ring does not close."""
+    world = loaded(("agent", 2, 2), ("heavy", 4, 4), ("light", 8, 8))
+    saved = world.save_state()
+    n = len(world.inventory)
+    first = len(saved) - n - len(GOAL_INDEX)
+    asleep = saved[first : first + n]
+    assert (asleep >= 0).sum() > 2
+    tails = {
+        "all point to one": np.zeros(n),
+        "one points to another's ring": np.where(np.arange(n) == np.flatnonzero(asleep >= 0)[-1], 2.0, asleep),
+        "one points to who is awake": np.where(np.arange(n) == np.flatnonzero(asleep >= 0)[-1], 0.0, asleep),
+    }
+    for tail in tails.values():
+        damaged = saved.copy()
+        damaged[first : first + n] = tail
+        with pytest.raises(ArtefactError, match="rings"):
+            world.restore_state(damaged)
+    two = saved.copy()
+    two[first + 1 : first + 3] = 2, 1  # of two that touch, each points to the other
+    world.restore_state(two)

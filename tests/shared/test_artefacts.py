@@ -168,6 +168,14 @@ def test_a_signature_is_no_stray_file_of_a_release_alone(tmp_path: Path) -> None
         assert list(found(out)) == ["signature.json"]
 
 
+def test_a_signature_that_is_none_by_its_size_is_not_read(tmp_path: Path) -> None:
+    out = artefacts.build(tmp_path / "a", kind="release", config=Toy(), parents=[], work=lambda _: {}).path
+    for size, expected in ((2**20, []), (2**20 + 1, ["signature.json"]), (3 * 2**30, ["signature.json"])):
+        with (out / "signature.json").open("wb") as file:
+            file.truncate(size)  # sparse: it takes no space
+        assert [problem.file for problem in artefacts.problems(out)] == expected
+
+
 def test_only_sizes_are_looked_at_where_no_hash_is_asked_for(tmp_path: Path) -> None:
     out = _make(tmp_path / "a").path
     (out / "data" / "numbers.txt").write_text("9 9 9")

@@ -14,10 +14,11 @@ from gym_open.datasets.writing.frames import NO_ACTION
 from gym_open.datasets.writing.statistics import STATISTICS, Merger, Stats, feature_stats, picture_stats, read_stats
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases import content, parquet
-from gym_open.formats.releases.features import STATE_FIELDS, fps, objects
+from gym_open.formats.releases.features import STATE_FIELDS, fps, objects, schema
 from gym_open.formats.releases.info import read_json
 from gym_open.formats.releases.layout import (
     BOOKKEEPING,
+    DATA_PATHS,
     DIGESTS_PATH,
     EPISODES_PATHS,
     IMAGE,
@@ -35,8 +36,10 @@ _ROUNDING = 1e-9
 """Relative error of a mean or deviation that another processor's order of adding may make."""
 _ROWS = 256
 """Episodes whose statistics are Python objects at a time."""
+_THOUGHT = ("reward.intrinsic", "policy.entropy", "policy.value")
+"""Features that every action has."""
 _PADDED = (
-    *("reward.intrinsic", "policy.entropy", "policy.value"),
+    *_THOUGHT,
     *("contact.count", "contact.agent", "contact.impulse"),
 )
 """Features that are 0 where there was no action."""
@@ -44,6 +47,7 @@ _PADDED = (
 
 def check_contents(release: Release, findings: Findings) -> str:
     """Check all frames and what is said of them; the content digest of the release as computed anew."""
+    _check_files(release, findings)
     episodes, stored = release.episodes, release.table("content")
     mergers = {name: Merger() for name in release.info["features"]}
     digests: list[str] = []
@@ -80,6 +84,20 @@ def check_contents(release: Release, findings: Findings) -> str:
     return _check_digests(release, digests, pictures, findings)
 
 
+def _check_files(release: Release, findings: Findings) -> None:
+    """Nothing of a data file goes unread: pictures have no path, and its metadata is that of its features."""
+    columns = schema(release.info["features"])
+    for path in sorted(release.root.glob(DATA_PATHS)):
+        name = path.relative_to(release.root).as_posix()
+        with parquet.opened(path) as file:
+            found = file.schema_arrow
+            plain = found.metadata == columns.metadata and not any(found.field(item).metadata for item in found.names)
+        findings.expect(plain, name, "its metadata is not that of its features")
+        if release.info["features"][IMAGE]["dtype"] == "image":
+            paths = parquet.read(path, columns, [f"{IMAGE}.path"]).column(0).combine_chunks().field("path")
+            findings.expect(paths.null_count == len(paths), name, f"{IMAGE} has a path beside its bytes")
+
+
 def wrong_in(values: Mapping[str, np.ndarray], row: Mapping[str, Any], described: Mapping[str, Any]) -> Iterator[str]:
     """What is wrong with the numbers of one episode, in words.
 
@@ -98,6 +116,9 @@ def wrong_in(values: Mapping[str, np.ndarray], row: Mapping[str, Any], described
     for name in _PADDED:
         if values[name][~played].any():
             yield f"{name} is not 0 on the last frame"
+    for name in _THOUGHT:
+        if not np.isfinite(values[name][played]).all():
+            yield f"{name} is not finite"
     for name in values:
         if name.startswith(PART) and not np.isnan(values[name][~played]).all():
             yield f"{name} is not NaN on the last frame"

@@ -1,5 +1,6 @@
 """Playing a release again: from every keyframe, the stored actions in a fresh simulation, down to the pixel."""
 
+import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -146,13 +147,13 @@ class _Played:
 
 
 def _against(count: int, agent: int, impulse: np.float32) -> Callable[[tuple[Contact, ...]], float | None]:
-    """How far a step's contacts are from the three numbers that a release has of them."""
+    """How far a step's contacts are from the three numbers that a release has of them (N s); infinite if not as many."""
 
     def error(found: tuple[Contact, ...]) -> float | None:
         total = np.float32(sum(contact.impulse for contact in found))
         touching = sum("agent" in (contact.a, contact.b) for contact in found)
-        if (len(found), touching, total) == (count, agent, impulse):
-            return None
-        return abs(float(total) - float(impulse))
+        if (len(found), touching) != (count, agent):
+            return math.inf
+        return None if total == impulse else abs(float(total) - float(impulse))
 
     return error
