@@ -10,29 +10,19 @@ from typing import Any, Literal
 import msgspec
 from rich.table import Table as Shown
 
+from gym_open import artefacts
 from gym_open.datasets.compare import payload
 from gym_open.datasets.compare.episode_diff import episode_meanings
+from gym_open.datasets.compare.paper_diff import same_but_for_version
 from gym_open.datasets.compare.semver import RANK, Bump, Meaning, implied
-from gym_open.errors import ArtefactError
 from gym_open.formats.releases import Release
 from gym_open.formats.releases.content import table_digest
-from gym_open.formats.releases.layout import (
-    BOOKKEEPING,
-    CHANGELOG,
-    CROISSANT,
-    STATS_PATH,
-    TABLES,
-    TASKS_PATH,
-)  # fmt: skip
+from gym_open.formats.releases.layout import BOOKKEEPING, CHANGELOG, STATS_PATH, TABLES, TASKS_PATH
 from gym_open.terminal import markup
 
 How = Literal["added", "removed", "changed", "serialisation"]
-_DERIVED = (CHANGELOG, CROISSANT, "rebuild/")
-"""Papers that follow from the rest, and from the version."""
 _NAMING = {"name", "version", "published", "license", "batches"}
 """Keys of our part of `meta/info.json` in which any two versions may differ, or that are told apart."""
-_LARGEST_PAPER = 2**24
-"""Bytes up to which a paper is read to compare it."""
 _COUNTS = {"features", "splits", "total_episodes", "total_frames"}
 """Keys of LeRobot's part that follow from features and episodes."""
 
@@ -159,31 +149,17 @@ def _file_meanings(a: Release, b: Release, files: list[FileChange], *, alone: bo
         yield Meaning(
             "patch", f"serialisation only: the same episodes are cut into files otherwise ({len(cut):,} files)"
         )
-    papers = [item.path for item in files if _is_paper(item.path) and not _same_but_for_version(a, b, item)]
+    unsealed = not (b.root / artefacts.MANIFEST).exists()
+    changed = any(item.path.endswith((".parquet", ".mp4")) for item in files)
+    papers = [
+        item.path
+        for item in files
+        if not item.path.startswith(("data/", "videos/", "meta/"))
+        and not (item.how == "changed" and same_but_for_version(a, b, item.path, data_changed=changed))
+        and not (item.path == CHANGELOG and item.how == "removed" and unsealed)  # it is written from this
+    ]
     if papers:
         yield Meaning("patch", f"card: {', '.join(papers)}")
-
-
-def _is_paper(path: str) -> bool:
-    return not path.startswith(("data/", "videos/", "meta/")) and not path.startswith(_DERIVED)
-
-
-def _same_but_for_version(a: Release, b: Release, item: FileChange) -> bool:
-    if item.how != "changed" or max((one.root / item.path).stat().st_size for one in (a, b)) > _LARGEST_PAPER:
-        return False
-    return _without_version(a, item.path) == _without_version(b, item.path)
-
-
-def _without_version(release: Release, path: str) -> bytes:
-    """A paper with its own version and date blanked: any two versions differ there."""
-    try:
-        text = (release.root / path).read_bytes()
-    except OSError as error:
-        raise ArtefactError(f"{release.root / path}: not readable: {error}; build the release again") from None
-    for said in (release.version, release.info["gym_open"].get("published")):
-        if said:
-            text = text.replace(str(said).encode(), b"")
-    return text
 
 
 def diff_tables(diff: Diff) -> list[Shown]:

@@ -24,7 +24,7 @@ from gym_open.datasets.compare.episode_diff import episode_meanings
 from gym_open.datasets.compare.semver import Meaning
 from gym_open.datasets.compare.versions import check
 from gym_open.datasets.config import ReleaseConfig
-from gym_open.errors import ArtefactError
+from gym_open.errors import ArtefactError, UsageError
 from gym_open.formats.releases.info import read_info
 
 pytestmark = pytest.mark.usefixtures("no_figures")
@@ -79,7 +79,7 @@ def test_the_same_again_is_refused(first: Release, logs: list[Path]) -> None:
 
 
 def test_an_append_is_minor(first: Release, logs: list[Path]) -> None:
-    with pytest.raises(ArtefactError, match=r"version 2\.0\.0 .* minor change .*give --version 1\.1\.0"):
+    with pytest.raises(UsageError, match=r"version 2\.0\.0: .*give --version 1\.1\.0"):
         build_release(config(version="2.0.0"), logs[1:], first.root.with_name("2.0.0"), append=True)
     made = open_release(
         build_release(config(version="1.1.0"), logs[1:], first.root.with_name("1.1.0"), append=True).path
@@ -135,6 +135,22 @@ def test_another_card_is_a_patch_but_for_version_and_date(first: Release, tmp_pa
     card.write_text(card.read_text() + "more\n")
     (change,) = diff_releases(first, unsealed(folder)).meanings
     assert (change.bump, change.text) == ("patch", "card: README.md")
+
+
+@pytest.mark.parametrize(
+    "name", ["rebuild/rebuild.sh", "rebuild/build.toml", "croissant.json", "CHANGELOG.md", "LICENSE"]
+)
+@pytest.mark.parametrize("version", ["1.0.0", "1.0.1"])
+def test_any_other_paper_is_a_patch(first: Release, tmp_path: Path, name: str, version: str) -> None:
+    folder = edited(first, tmp_path / version)
+    set_info(folder, version=version)
+    paper = folder / name
+    text = paper.read_text().replace("1.0.0", version)
+    paper.write_text(text)
+    assert diff_releases(first, unsealed(folder)).bump == "none"
+    paper.write_text(text.replace("MuJoCo", "evil", 1) if name.endswith("json") else f"{text}more\n")
+    (change,) = diff_releases(first, unsealed(folder)).meanings
+    assert (change.bump, change.text) == ("patch", f"card: {name}")
 
 
 def test_a_table_that_says_other_things_is_major(first: Release, tmp_path: Path) -> None:
