@@ -23,6 +23,15 @@ Fraction = Annotated[float, Meta(ge=0, le=1)]
 Seed = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 
 
+_WORDS: dict[str, str] = {}
+
+
+def matching(pattern: str, words: str) -> Meta:
+    """Bound of a text: what it must match, and what to call that when it does not."""
+    _WORDS[pattern] = words
+    return Meta(pattern=pattern)
+
+
 class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Base of every stage's configuration."""
 
@@ -80,6 +89,8 @@ def _explain(message: str, raw: dict[str, Any], kind: type[Config]) -> str:
         close = difflib.get_close_matches(key, known, n=1)
         hint = f"did you mean `{close[0]}`?" if close else f"known keys are {', '.join(known)}"
         return f"unknown key `{'.'.join([*keys, key])}`; {hint}"
+    for pattern, words in _WORDS.items():
+        text = text.replace(f"`str` matching regex {pattern!r}", words)
     value: Any = raw
     for key in keys:
         value = value.get(key) if isinstance(value, dict) else _item(value, key)

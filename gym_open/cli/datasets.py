@@ -167,24 +167,27 @@ class DatasetExport(Command):
     release: Release
     """Folder of a release."""
     out: Path
-    """File (npz) or folder (minari) to write."""
+    """File (npz) to write, or folder that Minari's data sets are in."""
     form: Literal["npz", "minari"] = "npz"
     """What to write; Minari needs `gym-open[minari]`."""
     split: str = "train"
     """Split to write."""
-    dataset_id: str = "open/explore-v1"
-    """What Minari calls the dataset: NAMESPACE/NAME-vN."""
+    dataset_id: str | None = None
+    """What Minari calls the data set, NAMESPACE/NAME-vN; default the release's name, split and major version."""
 
     about = "a split as NumPy (npz) or Minari"
 
     def run(self) -> None:
         """Write it."""
         from gym_open.datasets.export import export_minari, export_npz
+        from gym_open.formats.releases import open_release
 
         if self.form == "npz":
             path = export_npz(self.release, self.split, self.out)
         else:
-            path = export_minari(self.release, self.split, self.out, self.dataset_id)
+            about = open_release(self.release)
+            named = f"{about.name}-{self.split}-v{about.version.split('.')[0]}"
+            path = export_minari(self.release, self.split, self.out, self.dataset_id or named)
         say(short(path), verb="made")
 
 
@@ -356,6 +359,10 @@ class DatasetPull(Command):
 
 
 def _made(made: artefacts.Outcome) -> None:
+    from gym_open.datasets.overview import summary_tables
+
+    for table in summary_tables(made.path):
+        out.print(table)
     path = word(made.path)
     recording = shlex.quote(f"{made.path.parent.name}-{made.path.name}.rrd")
     report(

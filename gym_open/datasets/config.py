@@ -4,14 +4,16 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from gym_open.config import Config, Fraction, PositiveInt, Seed
+from gym_open.config import Config, Fraction, PositiveInt, Seed, matching
 from gym_open.formats.releases.layout import MAX_EPISODE_STEPS, Split
 
-Name = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9-]*/[a-z0-9][a-z0-9-]*$")]
-Version = Annotated[str, Meta(pattern=r"^(0|[1-9]\d{0,5})\.(0|[1-9]\d{0,5})\.(0|[1-9]\d{0,5})$")]
-Date = Annotated[str, Meta(pattern=r"^(\d{4}-(0[1-9]|1[0-2])-(0[1-9]|[12]\d|3[01]))?$")]
+Name = Annotated[
+    str, matching(r"^[a-z0-9][a-z0-9-]*/[a-z0-9][a-z0-9-]*$", "NAMESPACE/NAME of small letters, digits and -")
+]
+Version = Annotated[str, matching(r"^(0|[1-9]\d{0,5})\.(0|[1-9]\d{0,5})\.(0|[1-9]\d{0,5})$", "three numbers, as 1.0.0")]
+Date = Annotated[str, matching(r"^(\d{4}-(0[1-9]|1[0-2])-(0[1-9]|[12]\d|3[01]))?$", "a day, as 2026-11-21, or nothing")]
 License = Literal["mit", "cc-by-4.0", "cc0-1.0"]
-PuzzleDigest = Annotated[str, Meta(pattern=r"^[0-9a-f]{6,64}$")]
+PuzzleDigest = Annotated[str, matching(r"^[0-9a-f]{6,64}$", "six hexadecimal digits or more")]
 
 
 class Header(Config, frozen=True):

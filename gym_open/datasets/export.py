@@ -12,6 +12,7 @@ from numpy.lib import format as npy
 
 from gym_open import progress
 from gym_open.errors import GymOpenError, UsageError
+from gym_open.files import unwritable
 from gym_open.formats.releases import IMAGE, Release, open_release
 from gym_open.formats.releases.features import numeric
 from gym_open.formats.releases.layout import PART
@@ -89,12 +90,12 @@ def export_minari(root: Path, split: str, out: Path, dataset_id: str) -> Path:
     Args:
         root: folder of a release; every byte of it is checked.
         split: `train` or `val`.
-        out: folder to make.
+        out: folder of Minari data sets; others in it stay.
         dataset_id: NAMESPACE/NAME-vN.
 
     Raises:
         ArtefactError: if the release is damaged.
-        UsageError: if there is no such split, `out` exists, or the id is none of Minari's.
+        UsageError: if there is no such split, the data set is there, or the id is none of Minari's.
         GymOpenError: if Minari is not installed.
     """
     try:
@@ -110,13 +111,10 @@ def export_minari(root: Path, split: str, out: Path, dataset_id: str) -> Path:
         raise UsageError(f"dataset id must be NAMESPACE/NAME-vN, got {dataset_id!r}: {error}") from None
     release, rows = _opened(root, split)
     rows = rows[rows["steps"] > 0]
-    with _beside(out) as partial, progress.bar("dataset export", int(rows["length"].sum())) as bar:
-        data = partial / dataset_id / "data"
+    target = out / dataset_id
+    with _beside(out, target) as partial, progress.bar("dataset export", int(rows["length"].sum())) as bar:
+        data = partial / "data"
         data.mkdir(parents=True)
-        if namespace:
-            for folder in (partial / namespace, *(partial / namespace).parents):
-                if folder.is_relative_to(partial) and folder != partial:
-                    (folder / NAMESPACE_METADATA_FILENAME).write_text("{}")
         storage = MinariStorage.new(data, *_spaces(release), jpeg_encoding=False)
         about = f"Split {split} of {release.name} {release.version}: play without a task, recorded by gym-open."
         storage.update_metadata({"dataset_id": dataset_id, "minari_version": minari.__version__, "description": about})
@@ -128,8 +126,12 @@ def export_minari(root: Path, split: str, out: Path, dataset_id: str) -> Path:
             }
             storage.update_episode_metadata([told], [number])
             bar.advance(row["length"])
-        partial.rename(out)
-    return out
+        target.parent.mkdir(parents=True, exist_ok=True)
+        for folder in (out / namespace, *(out / namespace).parents) if namespace else ():
+            if folder.is_relative_to(out) and folder != out:
+                (folder / NAMESPACE_METADATA_FILENAME).write_text("{}")
+        partial.rename(target)
+    return target
 
 
 def _opened(root: Path, split: str) -> "tuple[Release, pd.DataFrame]":
@@ -143,19 +145,23 @@ def _opened(root: Path, split: str) -> "tuple[Release, pd.DataFrame]":
 
 
 @contextmanager
-def _beside(out: Path) -> Iterator[Path]:
-    """A path beside `out` to make and to rename; what is left there is removed.
+def _beside(out: Path, target: Path | None = None) -> Iterator[Path]:
+    """A path beside `out` to make and to rename to `out`, or to `target` in it; what is left there is removed.
 
     Raises:
-        UsageError: if `out` exists.
+        UsageError: if that exists.
+        ArtefactError: if the disk is full, or does not take it.
     """
-    if out.exists():
-        raise UsageError(f"{out}: exists; give another --out or remove it")
-    out.parent.mkdir(parents=True, exist_ok=True)
+    for taken in (target, None if out.is_dir() and target else out):
+        if taken is not None and taken.exists():
+            raise UsageError(f"{taken}: exists; give another --out or remove it")
     partial = out.absolute().with_name(f".{out.name}.partial")  # Minari joins a relative path to itself
-    shutil.rmtree(partial, ignore_errors=True)
     try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        shutil.rmtree(partial, ignore_errors=True)
         yield partial
+    except OSError as error:
+        raise unwritable(out, error) from error
     finally:
         shutil.rmtree(partial, ignore_errors=True)
 

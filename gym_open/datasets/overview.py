@@ -29,6 +29,16 @@ def info_tables(root: Path) -> list[Table]:
     return [_facts(release), _splits(release), _explorers(release), _features(release)]
 
 
+def summary_tables(root: Path) -> list[Table]:
+    """The first two of `info_tables`: what has just been made.
+
+    Raises:
+        ArtefactError: as `info_tables` does.
+    """
+    release = _look(root)
+    return [_facts(release), _splits(release)]
+
+
 def list_table(folder: Path) -> Table:
     """All releases below `folder`, hidden folders left out. What cannot be read is listed with the reason.
 

@@ -52,8 +52,12 @@ def test_minari_loads_it(release: Release, tmp_path: Path, monkeypatch: pytest.M
     import minari
 
     monkeypatch.chdir(tmp_path)
+    assert export_minari(release.root, "val", Path("minari"), "open/explore-val-v1").is_dir()
     out = export_minari(release.root, "train", Path("minari"), "open/explore-v1")
-    monkeypatch.setenv("MINARI_DATASETS_PATH", str(out))
+    assert out == Path("minari/open/explore-v1")
+    with pytest.raises(UsageError, match="open/explore-v1: exists"):
+        export_minari(release.root, "train", Path("minari"), "open/explore-v1")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", "minari")
     dataset = minari.load_dataset("open/explore-v1")
     rows = release.episodes[release.episodes["split"] == "train"].to_dict("records")
     assert dataset.total_episodes == len(rows)
@@ -76,7 +80,7 @@ def test_minari_loads_it(release: Release, tmp_path: Path, monkeypatch: pytest.M
         assert dataset.spec.observation_space.contains(observation)
     told = list(dataset.storage.get_episode_metadata(range(len(rows))))
     assert [item["puzzle"] for item in told] == [row["puzzle"] for row in rows]
-    assert list(minari.list_local_datasets()) == ["open/explore-v1"]
+    assert set(minari.list_local_datasets()) == {"open/explore-v1", "open/explore-val-v1"}
 
 
 def test_what_cannot_be_exported_leaves_nothing(release: Release, tmp_path: Path) -> None:

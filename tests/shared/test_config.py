@@ -69,3 +69,10 @@ def test_bounds_hold_for_values_from_options_too() -> None:
 def test_decode_is_the_inverse_of_to_dict() -> None:
     config = Outer(budget=3, inner=Inner(rate=0.1))
     assert decode(to_dict(config), Outer, source="x") == config
+
+
+def test_a_text_of_another_form_is_told_which_in_words() -> None:
+    from gym_open.datasets.config import ReleaseConfig
+
+    with pytest.raises(ConfigError, match=r"key `version`: expected three numbers, as 1\.0\.0, got '1\.0'"):
+        decode({"version": "1.0"}, ReleaseConfig, source="file")

@@ -27,6 +27,8 @@ from gym_open.formats.releases.layout import (
     DATA_PATHS,
     EPISODES_PATHS,
     IMAGE,
+    SPLITS,
+    TABLES,
     VIDEO_PATHS,
     Table,
     belongs,
@@ -133,12 +135,21 @@ class Release:
         """As `table`, as Arrow has it."""
         import pyarrow as pa
 
+        if name not in TABLES:
+            raise KeyError(f"{self.root}: no table {name!r}; releases have {', '.join(TABLES)}")
+
         columns = table_schema(name, self.info["features"])
         found = [parquet.read(path, columns) for path in sorted(self.root.glob(f"meta/{name}/file-*.parquet"))]
         return self._whole(f"meta/{name}", pa.concat_tables([columns.empty_table(), *found]))
 
     def split(self, name: str) -> np.ndarray:
-        """Frame numbers of the split `name` (`train`, `val`), int64, ascending; empty if there is no such split."""
+        """Frame numbers of the split `name` (`train`, `val`), int64, ascending; empty if nothing is in it.
+
+        Raises:
+            KeyError: if releases have no split of that name.
+        """
+        if name not in SPLITS:
+            raise KeyError(f"{self.root}: no split {name!r}; releases have {', '.join(SPLITS)}")
         chosen = self.episodes[self.episodes["split"] == name]
         spans = zip(chosen["dataset_from_index"], chosen["dataset_to_index"], strict=True)
         return np.concatenate(

@@ -94,7 +94,10 @@ def test_a_split_is_its_episodes_frames(release: Release) -> None:
         assert release.split(name).tolist() == np.flatnonzero(frames["episode_index"].isin(episodes)).tolist()
     both = np.concatenate([release.split("train"), release.split("val")])
     assert sorted(both.tolist()) == list(range(len(release)))
-    assert len(release.split("test")) == 0
+    with pytest.raises(KeyError, match="no split 'test'; releases have train, val"):
+        release.split("test")
+    with pytest.raises(KeyError, match="no table 'rewards'; releases have streams"):
+        release.table("rewards")  # pyright: ignore[reportArgumentType]
 
 
 def test_name_and_version(release: Release) -> None:
