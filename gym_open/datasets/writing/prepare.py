@@ -8,7 +8,9 @@ import numpy as np
 from gym_open.datasets.writing.sources import Episode
 from gym_open.datasets.writing.statistics import Stats, feature_stats, picture_stats
 from gym_open.datasets.writing.video import decode_clip, encode_clip, pixel_error
-from gym_open.formats.pictures import decode_png, encode_pngs
+from gym_open.errors import ArtefactError
+from gym_open.formats.pictures import encode_pngs
+from gym_open.formats.releases import pngs as taken_over
 from gym_open.formats.releases.content import feature_digest
 from gym_open.formats.releases.layout import IMAGE
 from gym_open.formats.releases.schemas import PIXEL_ERROR
@@ -34,7 +36,7 @@ def prepare(episode: Episode, *, video: bool = False) -> Prepared:
     images = episode.images
     if images is None:
         assert episode.pngs is not None
-        images = np.stack([decode_png(data) for data in episode.pngs])
+        images = np.stack([_decoded(data) for data in episode.pngs])
     pngs, clip, measured = episode.pngs, None, {}
     if video:
         pngs, clip, logged = None, encode_clip(images), images
@@ -53,3 +55,10 @@ def prepare(episode: Episode, *, video: bool = False) -> Prepared:
         clip=clip,
         measured=measured,
     )
+
+
+def _decoded(png: bytes) -> np.ndarray:
+    try:
+        return taken_over.decode(png)
+    except ValueError as error:
+        raise ArtefactError(f"a picture of a release: {error}; see which with `gym-open dataset verify`") from None

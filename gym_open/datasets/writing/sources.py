@@ -182,6 +182,9 @@ def episodes_of_release(release: Release, numbers: Iterable[int]) -> Iterator[Ep
     Args:
         release: an opened release.
         numbers: of the episodes, in the order in which they are wanted; ascending is fastest.
+
+    Raises:
+        ArtefactError: if frames are not where the release says, or values are missing.
     """
     described = release.info["features"]
     keyframes = release.table("keyframes").groupby("episode_index")
@@ -189,7 +192,7 @@ def episodes_of_release(release: Release, numbers: Iterable[int]) -> Iterator[Ep
     for number in numbers:
         row = release.episodes.iloc[number]
         first, stop = int(row["dataset_from_index"]), int(row["dataset_to_index"])
-        table = rows.between((int(row["data/chunk_index"]), int(row["data/file_index"])), first, stop)
+        table = rows.of_episode(number, (int(row["data/chunk_index"]), int(row["data/file_index"])), first, stop)
         names = [name for name in content_features(described) if name != IMAGE]
         values = {name: _values(table.column(name), described[name]) for name in names}
         if described[IMAGE]["dtype"] == "image":
@@ -225,15 +228,35 @@ class _Rows:
         self._starts: tuple[Path, np.ndarray] | None = None
         self._read: tuple[tuple[Path, int, int], pa.Table] | None = None
 
-    def between(self, file: tuple[int, int], first: int, stop: int) -> "pa.Table":
-        """Frames `first` to `stop` of the release, all of them in the data file with these numbers."""
+    def of_episode(self, number: int, file: tuple[int, int], first: int, stop: int) -> "pa.Table":
+        """Frames `first` to `stop` of the release, which are those of an episode, in the data file with these numbers.
+
+        Raises:
+            ArtefactError: if they are not in it, or a value is missing.
+        """
         path = self._root / data_path(*file)
         starts = self._group_starts(path) + self._first[file]
         low = int(np.searchsorted(starts, first, side="right")) - 1
         key = (path, low, int(np.searchsorted(starts, stop, side="left")))
+        if low < 0 or stop <= first:
+            raise self._not_there(path, number, first, stop)
         if self._read is None or self._read[0] != key:
             self._read = (key, parquet.read(path, self._schema, groups=range(*key[1:])))
-        return self._read[1].slice(first - int(starts[low]), stop - first)
+        table = self._read[1].slice(first - int(starts[low]), stop - first)
+        if (
+            table.column("index").to_pylist() != list(range(first, stop))
+            or set(table.column("episode_index").to_pylist()) != {number}
+            or any(_missing(column) for column in table.columns)
+        ):
+            raise self._not_there(path, number, first, stop)
+        return table
+
+    @staticmethod
+    def _not_there(path: Path, number: int, first: int, stop: int) -> ArtefactError:
+        return ArtefactError(
+            f"{path}: expected the frames {first} to {stop - 1}, all of episode {number} and whole, as meta/episodes "
+            "says; the release is damaged: get it anew"
+        )
 
     def _group_starts(self, path: Path) -> np.ndarray:
         """Number, within the file, of the first row of each row group."""
@@ -242,3 +265,11 @@ class _Rows:
             rows = [found.row_group(group).num_rows for group in range(found.num_row_groups)]
             self._starts = (path, np.cumsum([0, *rows[:-1]]))
         return self._starts[1]
+
+
+def _missing(column: "pa.ChunkedArray") -> bool:
+    """Whether a value that must be there is null. Of pictures `path` is, in every file."""
+    values = column.combine_chunks()
+    if values.null_count or not values.type.num_fields:
+        return values.null_count > 0
+    return values.field("bytes").null_count > 0 if hasattr(values, "field") else values.flatten().null_count > 0

@@ -2,14 +2,18 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import textwrap
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from gym_open import artefacts
@@ -18,6 +22,8 @@ from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.datasets.writing.prepare import Prepared, prepare
 from gym_open.datasets.writing.sources import Episode, episodes_of_release
+from gym_open.errors import ArtefactError
+from gym_open.formats.releases.info import read_info
 
 pytestmark = pytest.mark.usefixtures("no_figures")
 MakeLog = Callable[..., Path]
@@ -155,3 +161,44 @@ def test_episodes_of_a_release_are_the_logs(release: Release, log: Path) -> None
             assert np.array_equal(keyframe.integration_state, expected[keyframe.segment_step])
             seen.append((row["stream"], row["segment"], keyframe.segment_step))
     assert sorted(seen) == sorted((*key, k.segment_step) for key, item in segments.items() for k in item.keyframes)
+
+
+def edit(path: Path, column: str, change: Callable[[list[Any]], list[Any]]) -> None:
+    """Write a column of a parquet file anew."""
+    table = pq.read_table(path)
+    place, form = table.schema.get_field_index(column), table.schema.field(column)
+    values = pa.array(change(table.column(column).to_pylist()), form.type)
+    pq.write_table(table.set_column(place, form, values), path, compression="snappy", use_dictionary=False)
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "what"),
+    [
+        ("data/chunk_index", 0, "expected the frames"),
+        ("data/chunk_index", -3, "missing"),
+        ("data/file_index", 999, "missing"),
+        ("dataset_from_index", 0, "all of episode"),
+        ("dataset_from_index", 10**6, "expected the frames"),
+        ("dataset_to_index", 10**6, "expected the frames"),
+    ],
+)
+def test_episodes_that_are_not_where_a_release_says_are_refused(
+    column: str, value: int, what: str, release: Release, tmp_path: Path
+) -> None:
+    root = Path(shutil.copytree(release.root, tmp_path / "release"))
+    edit(root / "meta/episodes/chunk-000/file-000.parquet", column, lambda values: [*values[:-1], value])
+    damaged = Release(root, "", read_info(root))
+    with pytest.raises(ArtefactError, match=what):
+        list(episodes_of_release(damaged, range(len(release.episodes))))
+
+
+@pytest.mark.parametrize("column", ["episode_index", "action", "observation.image"])
+def test_frames_of_another_episode_or_without_a_value_are_refused(
+    column: str, release: Release, tmp_path: Path
+) -> None:
+    root = Path(shutil.copytree(release.root, tmp_path / "release"))
+    wrong = 0 if column == "episode_index" else {"bytes": None, "path": ""} if column.endswith("image") else None
+    edit(max(root.glob("data/*/*.parquet")), column, lambda values: [*values[:-1], wrong])
+    last = len(release.episodes) - 1
+    with pytest.raises(ArtefactError, match=f"all of episode {last} and whole"):
+        list(episodes_of_release(Release(root, "", read_info(root)), [last]))

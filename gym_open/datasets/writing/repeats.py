@@ -1,0 +1,66 @@
+"""Whether two streams are the same play: a log that goes on from another's steps, or the same run under two names."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from gym_open.datasets.writing.sources import Play
+from gym_open.errors import UsageError
+from gym_open.formats.releases import Release
+
+_STEPS = 256
+"""Steps at the beginning of each stream that are compared."""
+
+
+class _Beginning(NamedTuple):
+    """How a stream begins."""
+
+    where: Path
+    actions: np.ndarray
+    """(T,) int64, T ≤ 256."""
+    states: np.ndarray
+    """(T + 1, D) float32: of all objects."""
+
+    def is_of(self, other: "_Beginning") -> bool:
+        """Whether the shorter one is the beginning of the other."""
+        steps = min(len(self.actions), len(other.actions))
+        return np.array_equal(self.actions[:steps], other.actions[:steps]) and np.array_equal(
+            self.states[: steps + 1], other.states[: steps + 1]
+        )
+
+
+def check_distinct(plays: Sequence[Play], after: Release | None) -> None:
+    """Raises UsageError if two streams of one explorer begin with the same steps: their episodes would be there twice.
+
+    Args:
+        plays: streams that will be in a release.
+        after: the release that they are appended to.
+    """
+    known: dict[tuple[str, str], list[_Beginning]] = {}
+    for key, beginning in _of_release(after) if after else ():
+        known.setdefault(key, []).append(beginning)
+    for play in plays:
+        first = next(play.log.segments(_STEPS), None)
+        if first is None:
+            continue
+        states = first.object_state.astype(np.float32).reshape(len(first.object_state), -1)
+        beginning = _Beginning(play.log.path, first.actions, states)
+        same = known.setdefault((play.explorer, first.puzzle.digest), [])
+        for other in same:
+            if beginning.is_of(other):
+                raise UsageError(
+                    f"{play.log.path}: begins with the very steps of {other.where}, by the same explorer; its episodes "
+                    "would be there twice: give only the longer of the two"
+                )
+        same.append(beginning)
+
+
+def _of_release(release: Release) -> Iterator[tuple[tuple[str, str], _Beginning]]:
+    rows = release.episodes.sort_values("first_step").drop_duplicates("stream")
+    for row in rows.to_dict("records"):
+        first = row["dataset_from_index"]
+        values = release.numbers(first, first + min(row["steps"], _STEPS) + 1)
+        actions, states = values["action.index"][:-1], values["observation.environment_state"]
+        yield (row["explorer"], row["puzzle"]), _Beginning(release.root, actions, states)
