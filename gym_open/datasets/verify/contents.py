@@ -113,15 +113,10 @@ def wrong_in(values: Mapping[str, np.ndarray], row: Mapping[str, Any], described
     for good, what in (*_moves(values, played), *_states(values, described)):
         if not good:
             yield what
-    for name in _PADDED:
-        if values[name][~played].any():
-            yield f"{name} is not 0 on the last frame"
-    for name in _THOUGHT:
-        if not np.isfinite(values[name][played]).all():
-            yield f"{name} is not finite"
-    for name in values:
-        if name.startswith(PART) and not np.isnan(values[name][~played]).all():
-            yield f"{name} is not NaN on the last frame"
+    yield from (f"{name} is not 0 on the last frame" for name in _PADDED if values[name][~played].any())
+    yield from (f"{name} is not finite" for name in _THOUGHT if not np.isfinite(values[name][played]).all())
+    parts = (name for name in values if name.startswith(PART))
+    yield from (f"{name} is not NaN on the last frame" for name in parts if not np.isnan(values[name][~played]).all())
     loss = values["world_model.loss"]
     if not (loss[~played] == 0).all() and not np.isnan(loss).all():
         yield "world_model.loss is not 0 on the last frame"

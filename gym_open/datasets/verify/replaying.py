@@ -29,7 +29,6 @@ class Replay(msgspec.Struct):
     """Steps that were played again."""
     skipped: int = 0
     """Steps before the first keyframe of their episode."""
-    tables: list[Table] = []
 
     @property
     def outcome(self) -> str:
@@ -38,6 +37,15 @@ class Replay(msgspec.Struct):
         if not self.windows:
             return f"nothing to replay{left}"
         return f"{worst(self.windows)} ({self.steps:,} steps in {len(self.windows):,} windows{left})"
+
+    def tables(self, tolerance: float) -> list[Table]:
+        """A row a stream, and the windows that are not identical."""
+        by_number: dict[int, list[Window]] = {}
+        for window in sorted(self.windows, key=lambda window: window.stream):
+            by_number.setdefault(window.stream, []).append(window)
+        others = [window for window in self.windows if window.verdict != "identical"]
+        others.sort(key=lambda window: -VERDICTS.index(window.verdict))
+        return [by_stream(list(by_number.values()), tolerance)] + ([by_window(others)] if others else [])
 
 
 def replay_release(release: Release, tolerance: float, findings: Findings) -> Replay:
@@ -67,12 +75,12 @@ def replay_release(release: Release, tolerance: float, findings: Findings) -> Re
         if window.verdict == "diverged":
             findings.add(*_difference(window, release))
     done.skipped = played.skipped
-    by_number: dict[int, list[Window]] = {}
-    for window in sorted(done.windows, key=lambda window: window.stream):
-        by_number.setdefault(window.stream, []).append(window)
-    others = [window for window in done.windows if window.verdict != "identical"]
-    others.sort(key=lambda window: -VERDICTS.index(window.verdict))
-    done.tables = [by_stream(list(by_number.values()), tolerance)] + ([by_window(others)] if others else [])
+    if done.skipped and not done.steps:
+        findings.add(
+            "meta/keyframes",
+            f"none of {done.skipped:,} steps has a stored state before it: nothing can be replayed; get a release with "
+            "them, or check all but the replay",
+        )
     return done
 
 
@@ -147,7 +155,7 @@ class _Played:
 
 
 def _against(count: int, agent: int, impulse: np.float32) -> Callable[[tuple[Contact, ...]], float | None]:
-    """How far a step's contacts are from the three numbers that a release has of them (N s); infinite if not as many."""
+    """How far a step's contacts are from the three numbers of a release (N s); infinite if there are not as many."""
 
     def error(found: tuple[Contact, ...]) -> float | None:
         total = np.float32(sum(contact.impulse for contact in found))

@@ -5,10 +5,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from gym_open import artefacts
+from gym_open.datasets.verify.apart import replay_apart
 from gym_open.datasets.verify.contents import check_contents
 from gym_open.datasets.verify.papers import check_papers
 from gym_open.datasets.verify.readers import check_lerobot, check_pandas
-from gym_open.datasets.verify.replaying import replay_release
 from gym_open.datasets.verify.report import NOT_CHECKED, Check, Findings, Report, verdict_of
 from gym_open.datasets.verify.structure import check_episodes, check_files, check_info
 from gym_open.datasets.verify.tables import check_tables
@@ -63,8 +63,8 @@ class _Verification:
 
         def play() -> str:
             assert self._release is not None
-            done = replay_release(self._release, tolerance, self._findings)
-            report.replayed = done.tables
+            done = replay_apart(self._release, tolerance, self._findings)
+            report.replayed = done.tables(tolerance)
             return done.outcome
 
         if replay:

@@ -3,6 +3,7 @@
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
+from gym_open import artefacts
 from gym_open.datasets.verify.report import Findings, rows_of
 from gym_open.datasets.writing.frames import LENGTH_CAP
 from gym_open.datasets.writing.lerobot_files import TASK
@@ -111,14 +112,18 @@ def check_episodes(release: Release, findings: Findings) -> None:
     expect((episodes[["stream", "segment", "piece", "world", "first_step"]] >= 0).all(axis=1).to_numpy(),
            "stream, segment, piece, world or first_step is negative")  # fmt: skip
     expect(~episodes.duplicated(["stream", "segment", "piece"]).to_numpy(), "is there twice")
-    _check_pieces(episodes, findings)
+    _check_pieces(release, findings)
     _check_batches(release, findings)
     _check_places(release, findings)
 
 
-def _check_pieces(episodes: "pd.DataFrame", findings: Findings) -> None:
+def _check_pieces(release: Release, findings: Findings) -> None:
     """A piece that goes on in the next one was cut for its length, and the next one begins where it ends."""
-    ordered = episodes.sort_values(["stream", "segment", "piece"])
+    ordered = release.episodes.sort_values(["stream", "segment", "piece"])
+    if not _is_chosen(release):
+        place = ordered.groupby(["stream", "segment"]).cumcount()
+        for number in ordered.loc[ordered["piece"] != place, "episode_index"].tolist()[:3]:
+            findings.add(EPISODES, f"episode {number}: a piece before it is missing, and no release was chosen from")
     following = ordered.shift(-1)
     same = (ordered["stream"] == following["stream"]) & (ordered["segment"] == following["segment"])
     neighbours = same & (ordered["piece"] + 1 == following["piece"])
@@ -135,6 +140,12 @@ def _check_pieces(episodes: "pd.DataFrame", findings: Findings) -> None:
     apart = same & ~neighbours & (ordered["first_step"] + ordered["steps"] > following["first_step"])
     for number in ordered.loc[apart, "episode_index"].tolist()[:3]:
         findings.add(EPISODES, f"episode {number} overlaps the next piece of its segment")
+
+
+def _is_chosen(release: Release) -> bool:
+    """Whether pieces of segments may be missing: it holds chosen episodes of another release, says its lineage."""
+    built = "split_by" in (config := artefacts.config_of(release.root)) and not config.get("append")
+    return not built and any(parent.lineage.kind == "release" for parent in artefacts.lineage(release.root).parents)
 
 
 def _check_batches(release: Release, findings: Findings) -> None:

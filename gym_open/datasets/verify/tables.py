@@ -148,8 +148,46 @@ def _check_keyframes(release: Release, findings: Findings) -> None:
     begun = frames.loc[frames["frame_index"] == 0, "episode_index"]
     lacking = release.episodes[(release.episodes["piece"] == 0) & ~release.episodes["episode_index"].isin(begun)]
     _tell(findings, KEYFRAMES, lacking, ["episode_index"], "begins a segment, and there is no state of its beginning")
+    _check_distances(release, findings)
     finite = frames["integration_state"].map(lambda state: bool(np.isfinite(state).all()))
     _tell(findings, KEYFRAMES, frames[~finite.astype(bool)], ["episode_index", "frame_index"], "is not finite")
+
+
+def _check_distances(release: Release, findings: Findings) -> None:
+    """Within consecutive pieces of a segment, states stand as close as the stream's configuration says.
+
+    A log has one at the segment's beginning and after every so many steps. Chosen episodes may begin anywhere between.
+    """
+    streams = release.table("streams")
+    distances = dict(zip(streams["stream"], map(_keyframe_distance, streams["config"]), strict=True))
+    rows = release.episodes.sort_values(["stream", "segment", "piece"])
+    frames = release.table("keyframes")
+    states = dict(list(frames.groupby("episode_index")["frame_index"]))
+    last: dict[str, Any] = {}
+    since = 0
+    """Steps since the last state, or where there was none yet, since the run began, and one."""
+    for row in rows_of(rows):
+        most = distances.get(row["stream"])
+        if not last or any(row[key] != last[key] + (key == "piece") for key in ("stream", "segment", "piece")):
+            since = 1
+        last, at, gaps = row, 0, []
+        for frame in sorted(states.get(row["episode_index"], ())):
+            gaps.append(since + frame - at)
+            since, at = 0, frame
+        since += row["steps"] - at
+        if most is not None and max(*gaps, since, 0) > most:
+            what = f"episode {row['episode_index']}: more than {most} steps without a state"
+            findings.add(KEYFRAMES, f"{what}, which its stream's configuration says is the most")
+
+
+def _keyframe_distance(config: str) -> int | None:
+    """Steps between two states in a log with this configuration, if it says so."""
+    try:
+        said = msgspec.json.decode(config, type=dict[str, Any]).get("log")
+    except (msgspec.DecodeError, RecursionError):
+        return None
+    distance = said.get("keyframe_every") if isinstance(said, dict) else None
+    return distance if isinstance(distance, int) else None
 
 
 def _check_content(release: Release, findings: Findings) -> None:

@@ -21,6 +21,7 @@ from gym_open.datasets.build import build_release
 from gym_open.datasets.config import FilterConfig, ReleaseConfig
 from gym_open.datasets.filter import filter_release
 from gym_open.datasets.verify import Report, run, verify_release
+from gym_open.datasets.verify.replaying import replay_release
 from gym_open.datasets.writing.sources import Episode, episodes_of_logs
 from gym_open.formats.pictures import encode_png
 from gym_open.formats.releases import IMAGE, open_release
@@ -68,6 +69,7 @@ def copy(root: Path, tmp_path: Path) -> Path:
 @pytest.fixture
 def verify(monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], Report]:
     monkeypatch.setattr(run, "check_lerobot", lambda *_: None)
+    monkeypatch.setattr(run, "replay_apart", replay_release)  # a process that takes seconds to start
     return verify_release
 
 

@@ -1,0 +1,63 @@
+"""The replay of a release in a process of its own: `python -m … ROOT TOLERANCE OUT`.
+
+MuJoCo ends its process, with a line in MUJOCO_LOG.TXT, if it meets a state that no play leads to, such as sleepers that
+touch. A stored state may be anything, so that only this process ends.
+"""
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import msgspec
+
+from gym_open.artefacts import Problem
+from gym_open.datasets.verify.replaying import Replay, replay_release
+from gym_open.datasets.verify.report import Findings
+from gym_open.formats.releases.info import read_info
+from gym_open.formats.releases.reader import Release
+from gym_open.terminal import printable
+
+_CACHED_GROUPS = 4
+"""Row groups whose pictures stay in memory: episodes are read one after the other."""
+
+
+class _Result(msgspec.Struct):
+    replay: Replay
+    problems: list[Problem]
+    count: int
+
+
+def replay_apart(release: Release, tolerance: float, findings: Findings) -> Replay:
+    """As `replay_release`; if the simulation ends the process, that is a problem of the release."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "replay"
+        words = [sys.executable, "-m", __name__, str(release.root.absolute()), repr(tolerance), str(out)]
+        done = subprocess.run(words, cwd=folder, stdout=subprocess.DEVNULL, check=False)  # noqa: S603  # our own module
+        if done.returncode == 0:
+            result = msgspec.msgpack.decode(out.read_bytes(), type=_Result)
+            for problem in result.problems:
+                findings.add(problem.file, problem.what)
+            findings.count += result.count - len(result.problems)
+            return result.replay
+        log = Path(folder) / "MUJOCO_LOG.TXT"
+        said = log.read_text(errors="replace").strip().splitlines()[-1:] if log.exists() else []
+        what = printable(" ".join(said)[:300]) or "it said nothing"
+        findings.add(
+            "meta/keyframes",
+            f"the simulation ended, code {done.returncode}: {what}; no play leads to such a state: do not use this "
+            "release",
+        )
+        return Replay([])
+
+
+def main(root: str, tolerance: str, out: str) -> None:
+    """Replay a release and write what came of it."""
+    release = Release(Path(root), "", read_info(Path(root)), cached_groups=_CACHED_GROUPS)
+    findings = Findings()
+    replay = replay_release(release, float(tolerance), findings)
+    Path(out).write_bytes(msgspec.msgpack.encode(_Result(replay, findings.problems, findings.count)))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
