@@ -1,7 +1,7 @@
 """Logs become a release: `build_release(config, logs, out)`; or are appended to one that there is."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -9,11 +9,21 @@ from gym_open import artefacts, progress
 from gym_open.config import to_dict
 from gym_open.datasets.compare.versions import implied, latest_below
 from gym_open.datasets.config import ReleaseConfig
-from gym_open.datasets.writing.sources import Play, episodes_of_logs, plays_of, shares_of, units_of
+from gym_open.datasets.writing.repeats import check_distinct
+from gym_open.datasets.writing.sources import (
+    HELD,
+    Play,
+    episodes_of_logs,
+    held_logs,
+    plays_of,
+    shares_of,
+    units_of,
+)
 from gym_open.datasets.writing.splits import Unit, assign, unit_of
 from gym_open.datasets.writing.tables import tables_of_logs
-from gym_open.datasets.writing.writer import ReleaseWriter, complete
-from gym_open.errors import ArtefactError, UsageError
+from gym_open.datasets.writing.video import MAX_FRAMES
+from gym_open.datasets.writing.writer import ReleaseWriter, check_workers, complete
+from gym_open.errors import ArtefactError, ConfigError, UsageError
 from gym_open.formats.releases import Release, open_release
 from gym_open.formats.releases.features import Features, features, objects
 from gym_open.formats.releases.layout import PART, Split
@@ -50,13 +60,15 @@ def build_release(
     Raises:
         ArtefactError: if a log is missing, damaged, empty, or not of free play in the sandbox (naming the file), or the
             version says other than what was changed; no release is left behind.
-        UsageError: if `out` was made of other inputs and `replace` is false, there is nothing to append to, or a
-            log would be in the release twice.
+        UsageError: if `out` was made of other inputs and `replace` is false, there is nothing to append to, a log
+            would be in the release twice, `workers` is below 1, or episodes could be longer than a video may be.
     """
     previous = previous or latest_below(out, config.version)
+    _check_config(config)
+    check_workers(workers)
     if append:
         _check_append(config, out, previous)
-    _check_new(logs, previous if append else None)
+    held = _check_new(logs, previous if append else None)
     sealed = AppendConfig(**to_dict(config)) if append else config
 
     parents = [*logs, *([previous] if previous else [])]
@@ -65,7 +77,7 @@ def build_release(
         before = open_release(previous) if previous else None
         facts = _write(config, logs, folder, before if append else None, workers)
         complete(folder, sealed, "append" if append else "build", before, parents)
-        return facts
+        return {**facts, HELD: held}
 
     return artefacts.build(out, kind="release", config=sealed, parents=parents, work=work, replace=replace)
 
@@ -81,19 +93,27 @@ def _check_append(config: ReleaseConfig, out: Path, previous: Path | None) -> No
         )
 
 
-def _check_new(logs: Sequence[Path], after: Path | None) -> None:
-    """Raises UsageError if a log is given twice, or is in the release that is appended to: episodes would be twice."""
-    known = set(_ancestors(artefacts.lineage(after))) if after else set()
+def _check_config(config: ReleaseConfig) -> None:
+    """Raises ConfigError if an episode could be longer than a video may be."""
+    if config.pictures == "video" and config.max_episode_steps >= MAX_FRAMES:
+        raise ConfigError(
+            f"max_episode_steps: {config.max_episode_steps} with pictures = 'video': an episode of T steps has T + 1 "
+            f"frames, a video at most {MAX_FRAMES:,}; give {MAX_FRAMES - 1} or less, or pictures = 'png'"
+        )
+
+
+def _check_new(logs: Sequence[Path], after: Path | None) -> list[str]:
+    """Digests of the logs, after which all logs that the release will hold are told apart.
+
+    Raises:
+        UsageError: if a log is given twice, or is in the release that is appended to: episodes would be twice.
+    """
+    known = held_logs(artefacts.lineage(after)) if after else []
     for log in logs:
         if (digest := artefacts.digest(log)) in known:
             raise UsageError(f"{log}: given twice, or in the release already: its episodes would be there twice")
-        known.add(digest)
-
-
-def _ancestors(lineage: artefacts.Lineage) -> Iterator[str]:
-    for parent in lineage.parents:
-        yield parent.digest
-        yield from _ancestors(parent.lineage)
+        known.append(digest)
+    return known
 
 
 def _write(
@@ -102,6 +122,7 @@ def _write(
     """Write data and meta of a release, or of one that goes on from `after`; return its facts."""
     plays = plays_of(logs, int(after.table("streams")["stream"].max()) + 1 if after else 0)
     described = _features(config, plays, after)
+    check_distinct(plays, after)
     known = _known_units(config, after) if after else {}
     splits = assign(units_of(config, plays), config.val_fraction, config.seed, known)
     ours = {
@@ -156,14 +177,19 @@ def _features(config: ReleaseConfig, plays: Sequence[Play], after: Release | Non
     found = after.info["features"]
     settings = {name: getattr(config, name) for name in ("name", "split_by", "max_episode_steps", "pictures")}
     there = {name: after.info["gym_open"][name] for name in settings}
-    settings |= {"objects": list(names), "reward parts": [part for part in parts if PART + part not in found]}
-    there |= {"objects": objects(found), "reward parts": []}
+    settings["objects"], there["objects"] = list(names), objects(found)
     for field, value in settings.items():
         if value != there[field]:
             raise UsageError(
                 f"{after.root}: cannot be appended to: its {field}: {there[field]!r}, now: {value!r}; give the "
                 "same, or build a release of all logs"
             )
+    if lacking := [part for part in parts if PART + part not in found]:
+        own = ", ".join(name.removeprefix(PART) for name in found if name.startswith(PART)) or "none"
+        raise UsageError(
+            f"{after.root}: cannot be appended to: the logs' rewards have the part {', '.join(lacking)}, which is no "
+            f"feature of it (it has {own}); build a release of these logs and merge the two"
+        )
     return found
 
 

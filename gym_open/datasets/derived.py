@@ -15,9 +15,9 @@ import pyarrow as pa
 from gym_open import artefacts, progress
 from gym_open.datasets.compare.versions import latest_below
 from gym_open.datasets.config import FilterConfig, MergeConfig
-from gym_open.datasets.writing.sources import Episode, Share, episodes_of_release
+from gym_open.datasets.writing.sources import HELD, Episode, Share, episodes_of_release, held_logs
 from gym_open.datasets.writing.splits import unit_of
-from gym_open.datasets.writing.writer import ReleaseWriter, complete
+from gym_open.datasets.writing.writer import ReleaseWriter, check_workers, complete
 from gym_open.formats.releases import Release, open_release
 from gym_open.formats.releases.layout import PART, SPLITS, Split, Table
 
@@ -39,6 +39,8 @@ class Kept(msgspec.Struct, frozen=True, eq=False):
     """Split of each layout in the new release; empty if splits go by stream, where they stay as they are."""
     lacking: Sequence[str]
     """Parts of the reward that other releases have."""
+    held: Sequence[str]
+    """Digests of the logs of the streams that are kept."""
 
     @property
     def rows(self) -> "pd.DataFrame":
@@ -89,14 +91,16 @@ def derive(
         ArtefactError: if a release is damaged, or the version says other than what was changed since the one before.
         UsageError: if `out` was made of other inputs and `replace` is false.
     """
+    check_workers(workers)
     releases = [release for release, _ in chosen]
     previous = latest_below(out, config.version)
     parents = [*(release.root for release in releases), *([previous] if previous else [])]
 
     def work(folder: Path) -> Mapping[str, Any]:
-        facts = _write(config, _kept(chosen), folder, workers)
+        sources = _kept(chosen)
+        facts = _write(config, sources, folder, workers)
         complete(folder, config, command, open_release(previous) if previous else None, parents)
-        return facts
+        return {**facts, HELD: [digest for source in sources for digest in source.held]}
 
     return artefacts.build(out, kind="release", config=config, parents=parents, work=work, replace=replace)
 
@@ -112,24 +116,33 @@ def _kept(chosen: Sequence[tuple[Release, np.ndarray]]) -> list[Kept]:
     found: list[Kept] = []
     streams, logs = 0, 0
     for release, numbers in chosen:
+        rows = release.table("streams")
         left_out = set(release.episodes["stream"]) - set(release.episodes["stream"].iloc[numbers])
-        table = release.table("streams")
-        kept = [row for row in table.to_dict("records") if row["stream"] not in left_out]
         batches = dict(zip(release.episodes["stream"], release.episodes["meta/episodes/file_index"], strict=True))
-        places = [(batches.get(row["stream"], 0), row["log"]) for row in kept]
-        order = {place: logs + i for i, place in enumerate(dict.fromkeys(places))}
+        every = {row["stream"]: (batches.get(row["stream"], 0), row["log"]) for row in rows.to_dict("records")}
+        kept = {stream: place for stream, place in every.items() if stream not in left_out}
+        order = {place: logs + i for i, place in enumerate(dict.fromkeys(kept.values()))}
         found.append(
             Kept(
                 release=release,
                 numbers=numbers,
-                streams={row["stream"]: streams + i for i, row in enumerate(kept)},
-                logs={row["stream"]: order[place] for row, place in zip(kept, places, strict=True)},
+                streams={stream: streams + i for i, stream in enumerate(kept)},
+                logs={stream: order[place] for stream, place in kept.items()},
                 splits=splits,
                 lacking=sorted(parts - set(release.info["features"])),
+                held=_held(release, list(dict.fromkeys(every.values())), set(order)),
             )
         )
         streams, logs = streams + len(kept), logs + len(order)
     return found
+
+
+def _held(release: Release, places: Sequence[tuple[int, int]], kept: set[tuple[int, int]]) -> list[str]:
+    """Digests of the logs at the places (batch, log) that are kept; of all, if they cannot be told apart."""
+    digests = held_logs(artefacts.lineage(release.root))
+    if len(digests) != len(places):
+        return digests
+    return [digest for digest, place in zip(digests, places, strict=True) if place in kept]
 
 
 def _write(

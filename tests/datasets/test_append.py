@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,7 +12,10 @@ import pytest
 from gym_open import artefacts
 from gym_open.datasets import Release, open_release
 from gym_open.datasets.build import build_release
-from gym_open.datasets.config import ReleaseConfig
+from gym_open.datasets.config import FilterConfig, MergeConfig, ReleaseConfig
+from gym_open.datasets.derived import derive
+from gym_open.datasets.merge import merge_releases
+from gym_open.datasets.writing.sources import held_logs
 from gym_open.errors import RefusedError, UsageError
 
 pytestmark = pytest.mark.usefixtures("no_figures")
@@ -125,7 +129,7 @@ def test_other_rules_are_not_appended(
 
 def test_a_new_part_of_the_reward_is_not_appended(first: Release, make_log: MakeLog, tmp_path: Path) -> None:
     log = make_log(lengths=((3,),), reward_parts=("novelty",))
-    with pytest.raises(UsageError, match=r"reward parts.*novelty"):
+    with pytest.raises(UsageError, match=r"the part novelty.*it has none"):
         build_release(SECOND, [log], tmp_path / "r", previous=first.root, append=True)
 
 
@@ -141,6 +145,32 @@ def test_no_log_is_in_a_release_twice(first: Release, logs: list[Path], tmp_path
         build_release(FIRST, [logs[0], logs[1], logs[0]], tmp_path / "r")
 
 
+def test_a_log_of_a_version_that_was_only_compared_with_is_appended(
+    first: Release, logs: list[Path], tmp_path: Path
+) -> None:
+    config = msgspec.structs.replace(FIRST, version="2.0.0")
+    other = build_release(config, logs[1:], tmp_path / "2.0.0", previous=first.root).path
+    config = msgspec.structs.replace(FIRST, version="2.1.0")
+    both = open_release(build_release(config, logs[:1], tmp_path / "2.1.0", append=True).path)
+    assert len(both.table("streams")) == 4
+    assert held_logs(artefacts.lineage(both.root)) == [artefacts.digest(log) for log in logs[::-1]]
+    assert held_logs(artefacts.lineage(other)) == [artefacts.digest(logs[1])]
+
+
+def test_a_log_that_was_filtered_out_is_appended_and_one_that_was_merged_in_is_not(
+    second: Release, logs: list[Path], tmp_path: Path
+) -> None:
+    late = np.flatnonzero(second.episodes["stream"] >= 2)
+    some = FilterConfig(name=FIRST.name)
+    part = derive(some, "filter", tmp_path / "1.0.0", [(second, late)], workers=1, replace=False).path
+    merged = merge_releases(MergeConfig(name=FIRST.name), [part], tmp_path / "merged/1.0.0").path
+    for root in (part, merged):
+        with pytest.raises(UsageError, match="in the release already"):
+            build_release(SECOND, logs[1:], tmp_path / "r", previous=root, append=True)
+    again = open_release(build_release(SECOND, logs[:1], tmp_path / "1.1.0", append=True).path)
+    assert held_logs(artefacts.lineage(again.root)) == [artefacts.digest(log) for log in logs[::-1]]
+
+
 def test_an_append_is_no_patch(first: Release, logs: list[Path], tmp_path: Path) -> None:
     config = ReleaseConfig(max_episode_steps=5, val_fraction=0.34, version="1.0.1")
     with pytest.raises(UsageError, match=r"1\.1\.0"):
@@ -152,3 +182,13 @@ def test_of_a_version_that_lies_nothing_is_kept(first: Release, logs: list[Path]
     with pytest.raises(RefusedError, match=r"2\.0\.0"):
         build_release(config, logs[1:], tmp_path / "1.1.0", previous=first.root)
     assert not [path for path in tmp_path.rglob("*") if path.is_file() and path.stat().st_size]
+
+
+def test_play_that_is_there_under_another_digest_is_refused(first: Release, make_log: MakeLog, tmp_path: Path) -> None:
+    """The default log once more, by another threshold: another digest, the same steps."""
+    same = make_log(threshold=0.5)
+    with pytest.raises(UsageError, match="begins with the very steps of"):
+        build_release(SECOND, [same], tmp_path / "r", previous=first.root, append=True)
+    with pytest.raises(UsageError, match="begins with the very steps of"):
+        build_release(FIRST, [make_log(), same], tmp_path / "r")
+    assert not (tmp_path / "r").exists()

@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from gym_open.formats.logs.schemas import Segment
 
 
+HELD = "logs"
+"""In a release's lineage, the fact that lists the digests of the logs whose play it holds, in their order."""
+
+
 class KeyframeAt(NamedTuple):
     """A state of the simulation within an episode."""
 
@@ -88,6 +92,17 @@ def plays_of(logs: Sequence[Path], first_stream: int = 0) -> list[Play]:
             _check_task_free(log)
             plays.append(Play(log, first_stream + len(plays), parent, explorer_of(log.config)))
     return plays
+
+
+def held_logs(lineage: artefacts.Lineage) -> list[str]:
+    """Digests of the logs whose play a release holds, in the order in which its streams have them.
+
+    Not all logs among its ancestors are: a version before it may only have been compared with.
+    """
+    facts = lineage.facts.get(HELD)
+    if isinstance(facts, list):
+        return [str(digest) for digest in facts]
+    return [parent.digest for parent in lineage.parents if parent.lineage.kind == "log"]  # made before it was a fact
 
 
 def _check_task_free(log: "Log") -> None:

@@ -28,7 +28,7 @@ from gym_open.datasets.writing.prepare import Prepared, prepare
 from gym_open.datasets.writing.sources import Episode, Share
 from gym_open.datasets.writing.tables import segments_of_episodes
 from gym_open.datasets.writing.tracks import CONTENT, Place, Track
-from gym_open.errors import ArtefactError
+from gym_open.errors import ArtefactError, UsageError
 from gym_open.formats.pictures import workers as processors
 from gym_open.formats.releases import Release
 from gym_open.formats.releases.features import Features
@@ -179,6 +179,12 @@ class ReleaseWriter:
             ("keyframes", table_path("keyframes", self._batch), table_schema("keyframes", self._described)),
         ):
             join([part.path(name) for part in parts], self._folder / out, columns, prefix=CONTENT)
+
+
+def check_workers(workers: int | None) -> None:
+    """Raises UsageError if so many threads cannot be."""
+    if workers is not None and workers < 1:
+        raise UsageError(f"workers: expected 1 or more, got {workers}; leave it out for one a processor")
 
 
 def complete(folder: Path, config: Header, command: Command, previous: Release | None, parents: Sequence[Path]) -> None:
