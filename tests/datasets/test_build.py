@@ -17,10 +17,12 @@ import pytest
 from gym_open import artefacts
 from gym_open.datasets import Release, open_release
 from gym_open.datasets.build import build_release
-from gym_open.datasets.config import ReleaseConfig
+from gym_open.datasets.config import FilterConfig, MergeConfig, ReleaseConfig
+from gym_open.datasets.filter import filter_release
+from gym_open.datasets.merge import merge_releases
 from gym_open.datasets.writing.prepare import Prepared, prepare
 from gym_open.datasets.writing.sources import Episode
-from gym_open.errors import ArtefactError, UsageError
+from gym_open.errors import ArtefactError, ConfigError, UsageError
 from gym_open.formats.logs.reader import log_files, open_logs
 from gym_open.formats.logs.schemas import Segment
 
@@ -113,8 +115,8 @@ def test_splits_share_no_world(release: Release) -> None:
     frames = np.concatenate([release.split("train"), release.split("val")])
     assert frames.tolist() == list(range(len(release)))
     assert {rows[i]["split"] for i in release.column("episode_index")[release.split("val")]} == {"val"}
-    assert release.split("test").size == 0
-
+    with pytest.raises(KeyError, match="releases have train, val"):
+        release.split("test")
 
 def test_statistics_are_numpys(release: Release) -> None:
     stats = json.loads((release.root / "meta/stats.json").read_text())
@@ -311,3 +313,26 @@ def test_a_cut_log_leaves_no_release(make_log: MakeLog, tmp_path: Path) -> None:
         with pytest.raises(ArtefactError, match=r"stream-000-000\.mcap"):
             build_release(CONFIG, [log], tmp_path / "release")
         assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("workers", [0, -1])
+def test_threads_are_one_or_more(workers: int, log: Path, release: Release, tmp_path: Path) -> None:
+    for make in (
+        lambda: build_release(CONFIG, [log], tmp_path / "r", workers=workers),
+        lambda: merge_releases(MergeConfig(), [release.root], tmp_path / "r", workers=workers),
+        lambda: filter_release(FilterConfig(), release.root, tmp_path / "r", workers=workers),
+    ):
+        with pytest.raises(UsageError, match=f"workers: expected 1 or more, got {workers}"):
+            make()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_episode_is_longer_than_a_video_may_be(log: Path, tmp_path: Path) -> None:
+    """An episode of T steps has T + 1 frames."""
+    for steps in (25_000, 51_199):
+        config = ReleaseConfig(pictures="video", max_episode_steps=steps)
+        with pytest.raises(ConfigError, match="give 24999 or less"):
+            build_release(config, [log], tmp_path / "r")
+    assert list(tmp_path.iterdir()) == []
+    build_release(ReleaseConfig(pictures="video", max_episode_steps=24_999), [log], tmp_path / "r")
+    build_release(ReleaseConfig(pictures="png", max_episode_steps=51_199), [log], tmp_path / "p")
