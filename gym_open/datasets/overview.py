@@ -124,7 +124,10 @@ def _features(release: Release) -> Table:
 
 
 def _roots(folder: Path) -> Iterator[Path]:
-    """Folders that look like a release, whole or not."""
+    """Folders that look like a release, whole or not; `folder` itself may be one."""
+    if (folder / INFO_PATH).exists():
+        yield folder
+        return
     for item in sorted(folder.iterdir()):
         if not item.is_dir() or item.is_symlink() or item.name.startswith("."):
             continue

@@ -75,6 +75,10 @@ def test_list_shows_whole_and_damaged_ones_and_nothing_else(release: Release, tm
     assert "[red]x" in shown(table)
 
 
+def test_list_of_a_release_is_that_release(release: Release) -> None:
+    assert [row[-1] for row in rows(list_table(release.root))] == ["."]
+
+
 def test_list_of_no_folder(tmp_path: Path) -> None:
     with pytest.raises(ArtefactError, match="no such folder"):
         list_table(tmp_path / "missing")
