@@ -1,4 +1,4 @@
-"""The replay of a release in a process of its own: `python -m … ROOT TOLERANCE OUT`.
+"""The replay of a release in a process of its own.
 
 MuJoCo ends its process, with a line in MUJOCO_LOG.TXT, if it meets a state that no play leads to, such as sleepers that
 touch. A stored state may be anything, so that only this process ends.
@@ -32,7 +32,8 @@ def replay_apart(release: Release, tolerance: float, findings: Findings) -> Repl
     """As `replay_release`; if the simulation ends the process, that is a problem of the release."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "replay"
-        words = [sys.executable, "-m", __name__, str(release.root.absolute()), repr(tolerance), str(out)]
+        code = f"import sys; from {__name__} import main; main(*sys.argv[1:])"
+        words = [sys.executable, "-c", code, str(release.root.absolute()), repr(tolerance), str(out)]
         done = subprocess.run(words, cwd=folder, stdout=subprocess.DEVNULL, check=False)  # noqa: S603  # our own module
         if done.returncode == 0:
             result = msgspec.msgpack.decode(out.read_bytes(), type=_Result)
@@ -57,7 +58,3 @@ def main(root: str, tolerance: str, out: str) -> None:
     findings = Findings()
     replay = replay_release(release, float(tolerance), findings)
     Path(out).write_bytes(msgspec.msgpack.encode(_Result(replay, findings.problems, findings.count)))
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:])

@@ -3,9 +3,17 @@
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from gym_open import artefacts
 from gym_open.artefacts import Entry
+from gym_open.config import to_dict
+from gym_open.datasets.config import FilterConfig, Header, MergeConfig, ReleaseConfig
+from gym_open.datasets.papers import Command
 from gym_open.datasets.verify.report import Findings
+from gym_open.datasets.writing.sources import HELD
+from gym_open.datasets.writing.splits import assign, unit_of
+from gym_open.errors import ArtefactError
 from gym_open.formats.releases.info import read_json
 from gym_open.formats.releases.layout import (
     CARD,
@@ -17,22 +25,23 @@ from gym_open.formats.releases.layout import (
     PROVENANCE,
     RECORDS,
 )
+from gym_open.formats.releases.reader import Release
 
 _PAPERS = (CARD, LICENSE, CHANGELOG, CROISSANT, PROVENANCE)
 
 
-def check_papers(root: Path, findings: Findings) -> str:
-    """Digests, names and versions are the same wherever they stand."""
+def check_papers(release: Release, findings: Findings) -> str:
+    """Digests, names, versions and settings are the same wherever they stand."""
+    root = release.root
     manifest = artefacts.manifest(root)
     missing = [name for name in _PAPERS if name not in manifest]
     for name in missing:
         findings.add(name, "missing: every release has it")
     if missing:
         return ""
-    info = read_json(root / INFO_PATH, dict[str, Any])
-    _check_croissant(root, manifest, info["gym_open"], findings)
+    _check_croissant(root, manifest, release.info["gym_open"], findings)
     _check_provenance(root, manifest, findings)
-    _check_records(root, info, findings)
+    _check_records(release, findings)
     return "Croissant, provenance, lineage and configuration agree with the manifest"
 
 
@@ -63,19 +72,66 @@ def _check_provenance(root: Path, manifest: dict[str, Entry], findings: Findings
         findings.expect(parent.is_consistent(), artefacts.LINEAGE, f"the records of parent {number} are not its own")
 
 
-def _check_records(root: Path, info: dict[str, Any], findings: Findings) -> None:
+def _check_records(release: Release, findings: Findings) -> None:
+    root, info = release.root, release.info
     ours, config = info["gym_open"], artefacts.config_of(root)
-    for name in ("name", "version", "license", "published"):
+    settings = ("split_by", "max_episode_steps", "pictures") if "split_by" in config else ()
+    for name in ("name", "version", "license", "published", *settings):
         good = config.get(name) == ours[name]
         findings.expect(good, artefacts.CONFIG, f"{name} is {config.get(name)!r}, {INFO_PATH} says {ours[name]!r}")
-    facts = artefacts.lineage(root).facts
     expected = {
         "frames": info["total_frames"],
         "episodes": info["total_episodes"],
+        "steps": int(release.episodes["steps"].sum()),
         "content": read_json(root / DIGESTS_PATH, dict[str, Any]).get("release"),
     }
+    command, built = made_by(root)
+    lineage = artefacts.lineage(root)
+    if command == "build":
+        expected[HELD] = [parent.digest for parent in lineage.parents if parent.lineage.kind == "log"]
     for name, value in expected.items():
-        findings.expect(facts.get(name) == value, artefacts.LINEAGE, f"{name} is not that of the release")
+        findings.expect(lineage.facts.get(name) == value, artefacts.LINEAGE, f"{name} is not that of the release")
+    said: Any = read_json(root / PROVENANCE, dict[str, Any])
+    for key in ("predicate", "buildDefinition", "externalParameters"):
+        said = said.get(key) if isinstance(said, dict) else None
+    same = said == {"command": command, "config": config}
+    findings.expect(same, PROVENANCE, f"its command or configuration is not that of {artefacts.CONFIG}")
+    if command == "build" and isinstance(built, ReleaseConfig):
+        _check_draw(release, built, findings)
+
+
+def made_by(root: Path) -> tuple[Command, Header]:
+    """What made the release at `root`, and with which configuration.
+
+    Raises:
+        ArtefactError: if the configuration is none of ours, or not all of one.
+    """
+    said = artefacts.config_of(root)
+    settings = {name: value for name, value in said.items() if name != "append"}
+    kinds: dict[Command, type[Header]] = {"build": ReleaseConfig, "filter": FilterConfig, "merge": MergeConfig}
+    for command, kind in kinds.items():
+        try:
+            config = msgspec.convert(settings, kind)
+        except msgspec.ValidationError:
+            continue
+        append = "append" in said and kind is ReleaseConfig
+        whole = {**to_dict(config), "append": True} if append else to_dict(config)
+        if artefacts.canonical_json(whole) == artefacts.canonical_json(said):
+            return "append" if append else command, config
+    raise ArtefactError(f"{root / artefacts.CONFIG}: the configuration of no release; get the release anew")
+
+
+def _check_draw(release: Release, config: ReleaseConfig, findings: Findings) -> None:
+    """Which worlds or streams are set aside comes of the seed; an append has those of the version before, too."""
+    worlds, switches = release.table("worlds"), release.table("switches")
+    puzzles = dict(zip(zip(worlds["stream"], worlds["world"], strict=True), worlds["puzzle"], strict=True))
+    entered = switches[switches["to_world"] >= 0]
+    places = zip(entered["stream"].tolist(), entered["to_world"].tolist(), strict=True)
+    units = {unit_of(config.split_by, stream, puzzles[stream, world]) for stream, world in places}
+    drawn = assign(units, config.val_fraction, config.seed, {})
+    val = sorted(unit for unit, split in drawn.items() if split == "val")
+    same = val == release.info["gym_open"]["val"]
+    findings.expect(same, artefacts.CONFIG, "its seed and val_fraction set other worlds or streams aside")
 
 
 def _items(value: Any) -> list[dict[str, Any]]:

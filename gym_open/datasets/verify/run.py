@@ -12,6 +12,7 @@ from gym_open.datasets.verify.readers import check_lerobot, check_pandas
 from gym_open.datasets.verify.report import NOT_CHECKED, Check, Findings, Report, verdict_of
 from gym_open.datasets.verify.structure import check_episodes, check_files, check_info
 from gym_open.datasets.verify.tables import check_tables
+from gym_open.datasets.verify.texts import check_texts
 from gym_open.errors import GymOpenError, UsageError
 from gym_open.formats.releases.info import read_info
 from gym_open.formats.releases.layout import SIGNATURE, belongs
@@ -57,8 +58,9 @@ class _Verification:
         sound = self._check("bytes", self._bytes)
         self._check("signature", self._signature, needs=sound)  # nothing rests on it, nor on the papers
         sound = self._check("structure", self._structure, needs=sound)
-        self._check("papers", self._papers, needs=sound)
+        papers = self._check("papers", self._papers, needs=sound)
         sound = self._check("frames", self._frames, needs=sound)
+        self._check("texts", self._texts, needs=sound and papers)
         self._check("readers", self._readers, needs=sound)
 
         def play() -> str:
@@ -131,12 +133,17 @@ class _Verification:
         return f"{len(release.episodes):,} episodes, {len(release):,} frames"
 
     def _papers(self) -> str:
-        return check_papers(self._root, self._findings)
+        assert self._release is not None
+        return check_papers(self._release, self._findings)
 
     def _frames(self) -> str:
         assert self._release is not None
         self._content = check_contents(self._release, self._findings)
         return "statistics and content digests are those of the frames"
+
+    def _texts(self) -> str:
+        assert self._release is not None
+        return check_texts(self._release, self._findings)
 
     def _readers(self) -> str:
         assert self._release is not None

@@ -87,7 +87,7 @@ def test_damage_is_found_and_named(damage: Damage, made_up: Path, release: Path,
 def test_what_is_whole_is_said_to_be(made_up: Path, quick: Quick) -> None:
     report = quick(made_up)
     assert (report.problems, report.good) == ([], True)
-    assert [check.good for check in report.checks if check.name != "replay"] == [True] * 6
+    assert [check.good for check in report.checks if check.name != "replay"] == [True] * 7
     assert len(report.content) == len(report.digest) == 64
 
 
@@ -103,7 +103,7 @@ def test_what_rests_on_something_unsound_is_not_checked(
     assert [problem.file for problem in report.problems] == ["signature.json"]
     (release / "LICENSE").write_text("none")
     report = quick(release)
-    assert [check.good for check in report.checks] == [False] + [None] * 6
+    assert [check.good for check in report.checks] == [False] + [None] * 7
     assert {check.outcome for check in report.checks[1:-1]} == {"not checked: what comes before it is not sound"}
 
 
