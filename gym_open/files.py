@@ -63,5 +63,7 @@ def lock(out: Path) -> Iterator[None]:
             raise UsageError(
                 f"{out}: another gym-open process is writing it; wait for it or give another --out"
             ) from None
-        yield
-        mark.unlink(missing_ok=True)
+        try:
+            yield
+        finally:
+            mark.unlink(missing_ok=True)

@@ -118,6 +118,7 @@ def test_splits_share_no_world(release: Release) -> None:
     with pytest.raises(KeyError, match="releases have train, val"):
         release.split("test")
 
+
 def test_statistics_are_numpys(release: Release) -> None:
     stats = json.loads((release.root / "meta/stats.json").read_text())
     assert set(stats) == set(release.info["features"])

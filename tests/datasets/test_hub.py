@@ -20,6 +20,7 @@ from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.datasets.hub import pull_release, push_release
 from gym_open.errors import ArtefactError, GymOpenError, UsageError
+from gym_open.files import lock
 
 REPO = "someone/explore"
 
@@ -142,6 +143,15 @@ def test_a_new_version_replaces_the_files_and_leaves_the_old_tag(
     assert published(there, "v1.0.0") == files(first)
     assert files(pull(tmp_path / "one", there)) == files(first)
     assert files(pull(tmp_path / "two", there, "2.0.0")) == files(second)
+
+
+def test_lerobots_tag_moves_to_the_newest_version(there: Hub, first: Path) -> None:
+    repo = there.repos[REPO]
+    old = repo.commit({"README.md": b"of an earlier version"})
+    repo.tags = {"v0.9.0": old, "v3.0": old}
+    push(first, there)
+    assert repo.tags["v3.0"] == repo.tags["v1.0.0"] != old
+    assert repo.tags["v0.9.0"] == old
 
 
 def test_versions_go_in_their_order(there: Hub, release: Path) -> None:
@@ -281,6 +291,33 @@ def test_an_interrupted_pull_goes_on(there: Hub, first: Path, tmp_path: Path, mo
     pull(out, there)
     assert not [line for line in there.asked if "resolve" in line and "/data/" in line], data
     assert files(out) == files(first)
+
+
+def test_what_an_interrupted_pull_left_is_not_taken_at_its_word(there: Hub, first: Path, tmp_path: Path) -> None:
+    """A file of the right name and size, but of other bytes, is fetched again."""
+    out, name = tmp_path / "get/1.0.0", "meta/stats.json"
+    left = out.parent / ".1.0.0.pull.partial" / name
+    left.parent.mkdir(parents=True)
+    left.write_bytes(bytes(len((first / name).read_bytes())))
+    assert files(pull(out, there)) == files(first)
+
+
+def test_two_do_not_pull_one_version_at_once(there: Hub, tmp_path: Path) -> None:
+    out = tmp_path / "1.0.0"
+    with lock(out), pytest.raises(UsageError, match="another gym-open process"):
+        pull(out, there)
+    assert list(tmp_path.glob(".1.0.0.pull.partial")) == []
+    pull(out, there)
+
+
+@pytest.mark.parametrize("name", ["manifest.json", "signature.json"])
+def test_more_bytes_than_the_hub_told_of_are_not_read(there: Hub, tmp_path: Path, name: str) -> None:
+    repo = there.repos[REPO]
+    repo.tags["v1.0.0"] = repo.commit({"signature.json": b"{}", **published(there, "v1.0.0")})
+    there.garble = lambda path, data: data + b" " * (path == name)
+    with pytest.raises(ArtefactError, match=rf"{name}: [\d,]+ bytes came, the hub told of"):
+        pull(tmp_path / "get/1.0.0", there)
+    assert list((tmp_path / "get").iterdir()) == []
 
 
 def test_what_is_in_the_way_is_left_alone(there: Hub, first: Path, tmp_path: Path) -> None:

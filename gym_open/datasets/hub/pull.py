@@ -14,6 +14,7 @@ from gym_open.artefacts import MANIFEST, SIGNATURE, Entry
 from gym_open.datasets.compare.semver import parse
 from gym_open.datasets.hub.client import check_repo, tags, talking, told, tree, verified, versions
 from gym_open.errors import ArtefactError, GymOpenError, UsageError
+from gym_open.files import lock
 from gym_open.formats.releases.layout import INFO_PATH, belongs
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ def pull_release(repo: str, version: str, out: Path, *, send: bool, endpoint: st
     Raises:
         ArtefactError: if there is no such version, what came is not what the manifest says, is no release, or is
             another one. Nothing of it is kept.
-        UsageError: if the name or version is none, or `out` is something else.
+        UsageError: if the name or version is none, `out` is something else, or another process is pulling it.
         GymOpenError: if the hub cannot be reached or refuses. What came so far is kept for the next try.
     """
     check_repo(repo)
@@ -58,11 +59,13 @@ def pull_release(repo: str, version: str, out: Path, *, send: bool, endpoint: st
             there = ", ".join("{}.{}.{}".format(*item) for item in versions(known)) or "none"
             raise ArtefactError(f"{repo}: no version {version} there; versions: {there}")
         partial = out.with_name(f".{out.name}.pull.partial")
-        try:
-            _Pull(api, repo, commit, partial, tree(api, repo, commit)).into(out, version)
-        except ArtefactError:
-            shutil.rmtree(partial, ignore_errors=True)  # refused: nothing to go on from
-            raise
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with lock(out):
+            try:
+                _Pull(api, repo, commit, partial, tree(api, repo, commit)).into(out, version)
+            except ArtefactError:
+                shutil.rmtree(partial, ignore_errors=True)  # refused: nothing to go on from
+                raise
     return out
 
 
@@ -127,6 +130,8 @@ class _Pull:
         if (size := self.there[name].size) > _MAX_UNLISTED:
             raise ArtefactError(f"{self.repo}: {name}: {size:,} bytes are too many for a release of gym-open")
         self._fetch(name)
+        if (came := (self.folder / name).stat().st_size) != size:
+            raise ArtefactError(f"{self.repo}: {name}: {came:,} bytes came, the hub told of {size:,}; try elsewhere")
 
     def _listed_file(self, name: str, entry: Entry) -> None:
         """Fetch a file, unless it came in an earlier try."""

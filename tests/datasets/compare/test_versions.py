@@ -43,4 +43,5 @@ def test_latest_below_goes_by_numbers_and_by_folders_alone(tmp_path: Path) -> No
     assert latest_below(tmp_path / "1.10.0", "1.10.0") == tmp_path / "1.2.0"
     assert latest_below(tmp_path / "0.1.0", "0.1.0") is None
     assert latest_below(tmp_path / "2.0.0", "3.0.0") == tmp_path / "1.10.0", "a release does not follow itself"
+    assert latest_below(tmp_path / "draft", "1.10.0") == tmp_path / "1.2.0", "nor its equal"
     assert latest_below(tmp_path / "missing/1.0.0", "1.0.0") is None
