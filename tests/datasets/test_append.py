@@ -163,7 +163,8 @@ def test_a_log_that_was_filtered_out_is_appended_and_one_that_was_merged_in_is_n
     late = np.flatnonzero(second.episodes["stream"] >= 2)
     some = FilterConfig(name=FIRST.name)
     part = derive(some, "filter", tmp_path / "1.0.0", [(second, late)], workers=1, replace=False).path
-    merged = merge_releases(MergeConfig(name=FIRST.name), [part], tmp_path / "merged/1.0.0").path
+    merged = merge_releases(MergeConfig(name=FIRST.name), [second.root], tmp_path / "merged/1.0.0").path
+    assert open_release(merged).table("streams")["log"].tolist() == [0, 0, 1, 1], "each append counts its own from 0"
     for root in (part, merged):
         with pytest.raises(UsageError, match="in the release already"):
             build_release(SECOND, logs[1:], tmp_path / "r", previous=root, append=True)

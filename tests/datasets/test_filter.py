@@ -2,9 +2,11 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from gym_open import artefacts
@@ -12,7 +14,7 @@ from gym_open.datasets import Release, open_release
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import FilterConfig, MergeConfig, ReleaseConfig
 from gym_open.datasets.derived import derive
-from gym_open.datasets.filter import filter_release
+from gym_open.datasets.filter import _chosen, filter_release
 from gym_open.datasets.merge import merge_releases
 from gym_open.datasets.verify import verify_release
 from gym_open.envs.constants import WALL_X, WALL_Y
@@ -93,6 +95,20 @@ def test_by_contact_and_coverage(release: Release, tmp_path: Path) -> None:
     meets = np.array(shares) >= limit, touching >= 0.6
     assert all(0 < (meets[0] & meets[1]).sum() < one.sum() < len(one) for one in meets)  # each leaves some out
     assert content(some) == expected(release, meets[0] & meets[1])
+
+
+def test_what_others_touch_among_themselves_is_no_contact_of_the_agent() -> None:
+    frames = {
+        "contact.count": np.array([1, 1, 2, 0]),
+        "contact.agent": np.array([0, 1, 0, 0]),
+        "transition.valid": np.array([True, True, True, False]),
+        "observation.state": np.zeros((4, 13)),
+    }
+    rows = pd.DataFrame({"dataset_from_index": [0], "dataset_to_index": [4]})
+    made = cast(Release, SimpleNamespace(root=Path("r"), episodes=rows, numbers=lambda *_: frames))
+    assert _chosen(FilterConfig(min_contact=0.33), made).tolist() == [0]
+    with pytest.raises(UsageError, match="meets all conditions"):
+        _chosen(FilterConfig(min_contact=0.34), made)
 
 
 def test_a_filter_that_keeps_all_has_the_parents_content(release: Release, tmp_path: Path) -> None:

@@ -142,6 +142,14 @@ def test_any_bound_gives_the_same_pictures(
         assert sum(path.stat().st_size for path in (tmp_path / "cache").iterdir()) == bounded.nbytes
 
 
+def test_a_bound_holds_to_the_byte(release: Release, pictures: Pictures) -> None:
+    assert pictures.cached == len(release)
+    assert Pictures(release, limit_bytes=pictures.nbytes).cached == len(release)
+    less = Pictures(release, limit_bytes=pictures.nbytes - 1)
+    assert less.cached < len(release)
+    assert less.nbytes < pictures.nbytes
+
+
 def test_pictures_of_a_video_come_out_of_the_cache_as_decoded(log: Path, tmp_path: Path) -> None:
     config = msgspec.structs.replace(CONFIG, pictures="video")
     video = open_release(build_release(config, [log], tmp_path / "video").path)

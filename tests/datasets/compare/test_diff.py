@@ -240,6 +240,7 @@ OLD = [(n, "train") for n in range(6)]
         ([OLD[1], OLD[0], *OLD[2:]], [("major", "episodes reordered")]),
         ([*OLD[:2], (2, "val"), *OLD[3:]], [("major", "1 episode moved to another split (2)")]),
         ([(6, "train"), *OLD], [("major", "1 episode inserted before old ones (0)")]),
+        ([*OLD[:-1], (6, "train"), OLD[-1]], [("major", "1 episode inserted before old ones (5)")]),
         (
             [*OLD[1:], (6, "train")],
             [("major", "1 episode removed (0)"), ("minor", "1 episode added after the old ones (5)")],
@@ -248,6 +249,16 @@ OLD = [(n, "train") for n in range(6)]
 )
 def test_episodes(rows: list[tuple[int, str]], expected: list[tuple[str, str]]) -> None:
     assert meanings(made_by_hand(OLD), made_by_hand(rows)) == expected
+
+
+@pytest.mark.parametrize(
+    ("fact", "value"),
+    [("puzzle", "p9"), ("explorer", "rnd"), ("world", 9), ("steps", 9), ("continued", True), ("ended", "budget")],
+)
+def test_an_episode_of_another_fact_is_changed(fact: str, value: object) -> None:
+    new = made_by_hand(OLD)
+    new.episodes[fact] = [value if number == 2 else old for number, old in enumerate(new.episodes[fact])]
+    assert meanings(made_by_hand(OLD), new) == [("major", f"1 episode changed (2): {fact}")]
 
 
 def test_changed_episodes_name_the_features() -> None:

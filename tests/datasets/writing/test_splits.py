@@ -35,6 +35,12 @@ def test_known_units_never_move(old: set[str], new: set[str], fraction: float, s
         assert "val" in after.values()
 
 
+@given(SEEDS)
+def test_what_comes_late_is_not_held_out_where_something_is(seed: int) -> None:
+    known: dict[str, Split] = {"a": "train", "b": "val"}
+    assert assign({"c", "d"}, 0.01, seed, known) == {**known, "c": "train", "d": "train"}
+
+
 @given(UNITS, FRACTIONS, SEEDS)
 def test_the_order_of_logs_decides_nothing(units: set[str], fraction: float, seed: int) -> None:
     assert assign(sorted(units), fraction, seed) == assign(sorted(units, reverse=True), fraction, seed)

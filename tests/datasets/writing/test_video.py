@@ -85,12 +85,17 @@ def test_the_error_is_numpys() -> None:
 
 def test_the_error_is_on_record(release: Release, monkeypatch: pytest.MonkeyPatch, log: Path, tmp_path: Path) -> None:
     assert release.info["gym_open"]["video_error"] == {"mean": 0.0, "max": 0.0, "psnr": None}
-    monkeypatch.setattr("gym_open.datasets.writing.prepare.encode_clip", lambda images: encode_clip(images ^ 2))
+    monkeypatch.setattr(
+        "gym_open.datasets.writing.prepare.encode_clip",
+        lambda images: encode_clip(images ^ np.uint8(8 if len(images) == 21 else 2)),
+    )
     worse = open_release(build_release(CONFIG, [log], tmp_path / "worse").path)
-    error = worse.info["gym_open"]["video_error"]
-    assert error["mean"] == pytest.approx(2)
-    assert error["max"] == 2
-    assert error["psnr"] == pytest.approx(20 * np.log10(255 / 2))
+    error, off = worse.info["gym_open"]["video_error"], np.where(worse.episodes["length"] == 21, 8, 2)
+    weights = worse.episodes["length"] / worse.episodes["length"].sum()
+    assert set(off) == {2, 8}
+    assert error["mean"] == pytest.approx(weights @ off)
+    assert error["max"] == 8
+    assert error["psnr"] == pytest.approx(10 * np.log10(255**2 / (weights @ off**2)))
 
 
 def test_it_holds_what_the_png_release_holds(release: Release, plain: Release) -> None:

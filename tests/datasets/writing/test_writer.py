@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from gym_open.datasets import Release, open_release
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.datasets.writing.prepare import Prepared, prepare
-from gym_open.datasets.writing.sources import Episode, episodes_of_release
+from gym_open.datasets.writing.sources import Episode, Play, episodes_of_logs, episodes_of_release
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases.info import read_info
 
@@ -44,7 +44,7 @@ def release(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Release:
     return open_release(build_release(CONFIG, [log], tmp_path_factory.mktemp("r") / "release").path)
 
 
-def interrupted(log: Path, out: Path, after: int) -> None:
+def interrupted(log: Path, out: Path, after: int, config: ReleaseConfig = CONFIG) -> None:
     """Begin a build that dies as it prepares an episode."""
     prepared: list[Episode] = []
 
@@ -57,7 +57,7 @@ def interrupted(log: Path, out: Path, after: int) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("gym_open.datasets.writing.writer.prepare", dies)
         with pytest.raises(KilledError):
-            build_release(CONFIG, [log], out, workers=1)
+            build_release(config, [log], out, workers=1)
     assert not out.exists()
 
 
@@ -84,9 +84,33 @@ def test_an_interrupted_build_goes_on(
 def test_what_is_damaged_of_a_finished_file_is_written_again(log: Path, release: Release, tmp_path: Path) -> None:
     out = tmp_path / "release"
     interrupted(log, out, after=17)
-    data = next((tmp_path / ".release.partial").glob("data/*/file-000.parquet"))
+    mark = next((tmp_path / ".release.partial").glob("checkpoint/parts/*.json"))
+    data = tmp_path / ".release.partial" / min(json.loads(mark.read_text())["files"])
     data.write_bytes(data.read_bytes()[:-1] + b"?")
     assert artefacts.digest(build_release(CONFIG, [log], out).path) == release.digest
+
+
+def test_a_stream_that_is_all_there_is_not_read_again(make_log: MakeLog, tmp_path: Path) -> None:
+    """And the next one goes on where it ended: the first data file holds the first stream and some of the second."""
+    config = ReleaseConfig(data_file_mb=1, max_episode_steps=10, val_fraction=0)
+    log, out, read = make_log(lengths=((30,), (60,))), tmp_path / "release", []
+    interrupted(log, out, 7, config)
+
+    def tells(config: ReleaseConfig, plays: list[Play], *rest: Any) -> Iterator[Episode]:
+        read.extend(play.stream for play in plays)
+        return episodes_of_logs(config, plays, *rest)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gym_open.datasets.build.episodes_of_logs", tells)
+        made = open_release(build_release(config, [log], out).path)
+    assert read == [1]
+    assert made.episodes["stream"].tolist() == [0] * 3 + [1] * 6
+
+
+def test_a_data_file_is_no_larger_than_was_asked(release: Release) -> None:
+    paths = list(release.root.glob("data/*/*.parquet"))
+    assert len(paths) > 3
+    assert max(pq.read_table(path).nbytes for path in paths) <= 2**20
 
 
 def test_killed_while_the_tables_are_written(log: Path, release: Release, tmp_path: Path) -> None:
