@@ -105,9 +105,8 @@ def _statistics(files: list[Path], described: Features) -> dict[str, Any]:
 
 
 def _digests(folder: Path, described: Features, episodes: pa.Table) -> dict[str, Any]:
-    tables = {
-        name: pa.concat_tables(_read(path) for path in sorted(folder.glob(f"meta/{name}/*.parquet"))) for name in TABLES
-    }
+    parts = {name: _tables(folder, f"meta/{name}/*.parquet") for name in TABLES}
+    tables = {name: pa.concat_tables(found.values()) for name, found in parts.items()}
     of_pictures = tables["content"][IMAGE].to_pylist()
     facts = episodes.select(content.EPISODE_FACTS).to_pylist()
     hashes = tables["content"].select(content_features(described)).to_pylist()
@@ -115,10 +114,15 @@ def _digests(folder: Path, described: Features, episodes: pa.Table) -> dict[str,
     files = {path: content.data_file_digest(of_episodes[span]) for path, span in _files(episodes, data_path)}
     if described[IMAGE]["dtype"] == "video":
         files |= {path: content.data_file_digest(of_pictures[span]) for path, span in _files(episodes, video_path)}
-    others = [TASKS_PATH, *(path.relative_to(folder).as_posix() for path in folder.glob("meta/*/**/*.parquet"))]
+    files |= {path: content.table_digest(table) for found in parts.values() for path, table in found.items()}
+    others = [TASKS_PATH, *(path.relative_to(folder).as_posix() for path in folder.glob(EPISODES_PATHS))]
     files |= {path: content.table_digest(_read(folder / path)) for path in others}
     release = content.release_digest(described, of_episodes, episodes.select(content.EPISODE_PLACES), tables)
     return {"release": release, "files": files}
+
+
+def _tables(folder: Path, pattern: str) -> dict[str, pa.Table]:
+    return {path.relative_to(folder).as_posix(): _read(path) for path in sorted(folder.glob(pattern))}
 
 
 def _files(episodes: pa.Table, name: Callable[[int, int], str]) -> Iterator[tuple[str, slice]]:

@@ -255,9 +255,9 @@ def test_episodes(rows: list[tuple[int, str]], expected: list[tuple[str, str]]) 
     ("fact", "value"),
     [("puzzle", "p9"), ("explorer", "rnd"), ("world", 9), ("steps", 9), ("continued", True), ("ended", "budget")],
 )
-def test_an_episode_of_another_fact_is_changed(fact: str, value: object) -> None:
+def test_an_episode_of_another_fact_is_changed(fact: str, value: Any) -> None:
     new = made_by_hand(OLD)
-    new.episodes[fact] = [value if number == 2 else old for number, old in enumerate(new.episodes[fact])]
+    new.episodes[fact] = new.episodes[fact].where(new.episodes.index != 2, value)
     assert meanings(made_by_hand(OLD), new) == [("major", f"1 episode changed (2): {fact}")]
 
 
