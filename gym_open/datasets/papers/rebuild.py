@@ -47,7 +47,7 @@ END
 _PARENT = """
 # {what}; by default where it would lie beside this one
 {variable}="${{{shell}:-"$datasets/{place}"}}"
-if [ "$(payload "${variable}")" != {digest} ]; then
+if [ ! -f "${variable}/manifest.json" ] || [ "$(payload "${variable}")" != {digest} ]; then
     echo "${variable}: not {place}; make it again with its own rebuild/rebuild.sh, or give {shell}=FOLDER" >&2
     exit 1
 fi
@@ -72,7 +72,10 @@ expected=$(payload "$here/..")
 found=$(payload "$made")
 echo "payload of this release  $expected"
 echo "payload of the rebuilt   $found"
-[ "$expected" = "$found" ] && echo same || { echo different >&2; exit 1; }
+[ "$expected" = "$found" ] && echo same || {
+    echo "different: lineage.json of each names its code and packages, gym-open dataset diff says what differs" >&2
+    exit 1
+}
 """
 
 
