@@ -131,7 +131,7 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 from gym_open.datasets import papers
-    from gym_open.datasets.writing import writer
+from gym_open.datasets.writing import writer
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
 
