@@ -11,11 +11,6 @@ PNG_LEVEL = 6
 level 9 saves a hundredth of the bytes at a quarter of the speed."""
 
 
-def encode_png(image: np.ndarray) -> bytes:
-    """PNG file of an (H, W, 3) uint8 RGB picture."""
-    return encode_pngs(image[None])[0]
-
-
 def encode_pngs(images: np.ndarray) -> list[bytes]:
     """PNG files of (n, H, W, 3) uint8 RGB pictures, in their order. Other threads run meanwhile."""
     import av

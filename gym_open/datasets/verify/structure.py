@@ -9,6 +9,7 @@ from gym_open.datasets.writing.frames import LENGTH_CAP
 from gym_open.datasets.writing.lerobot_files import TASK
 from gym_open.datasets.writing.splits import unit_of
 from gym_open.formats.releases import parquet, videos
+from gym_open.formats.releases.info import split_ranges
 from gym_open.formats.releases.layout import (
     DIGESTS_PATH,
     IMAGE,
@@ -57,7 +58,7 @@ def check_info(release: Release, findings: Findings) -> None:
         int(episodes["length"].sum()) == info["total_frames"], INFO_PATH,
         f"total_frames is {info['total_frames']}, the episodes have {episodes['length'].sum()}",
     )  # fmt: skip
-    splits = ranges(episodes["split"].tolist())
+    splits = split_ranges(episodes["split"].tolist())
     findings.expect(
         info["splits"] == splits, INFO_PATH, f"splits are {str(info['splits'])[:100]}, those of the episodes {splits}"
     )
@@ -74,17 +75,6 @@ def check_info(release: Release, findings: Findings) -> None:
         findings.add(EPISODES, f"{ours['split_by']} {unit} is in train and in val: they must share none")
     if strange := units["val"] ^ (set(ours["val"]) & (units["val"] | units["train"])):
         findings.add(INFO_PATH, f"gym_open.val is not what the episodes have in val: {', '.join(sorted(strange)[:3])}")
-
-
-def ranges(splits: list[str]) -> dict[str, str]:
-    """Ranges of episodes of each split, as info.json has them."""
-    found: dict[str, list[str]] = {}
-    first = 0
-    for split, group in groupby(splits):
-        stop = first + len(list(group))
-        found.setdefault(split, []).append(f"{first}:{stop}")
-        first = stop
-    return {split: ",".join(parts) for split, parts in found.items()}
 
 
 def check_episodes(release: Release, findings: Findings) -> None:

@@ -16,6 +16,7 @@ from gym_open.datasets.writing.lerobot_files import write_info, write_json, writ
 from gym_open.datasets.writing.statistics import Merger, read_stats
 from gym_open.formats.releases import content
 from gym_open.formats.releases.features import Features, objects
+from gym_open.formats.releases.info import split_ranges
 from gym_open.formats.releases.layout import (
     DIGESTS_PATH,
     EPISODES_PATHS,
@@ -69,7 +70,7 @@ def write_meta(
         about["video_error"] = _video_error(episodes)
     frames = sum(episodes["length"].to_pylist())
     write_info(
-        folder, described, episodes=len(episodes), frames=frames, splits=_ranges(episodes["split"].to_pylist()),
+        folder, described, episodes=len(episodes), frames=frames, splits=split_ranges(episodes["split"].to_pylist()),
         data_file_mb=data_file_mb, ours=about,
     )  # fmt: skip
     steps = sum(episodes["steps"].to_pylist())
@@ -79,17 +80,6 @@ def write_meta(
 def _read(path: Path, columns: list[str] | None = None) -> pa.Table:
     with pq.ParquetFile(path) as file:
         return file.read(columns=columns)
-
-
-def _ranges(splits: list[str]) -> dict[str, str]:
-    """Ranges of episodes of each split, as LeRobot writes one: "0:10", and "0:10,14:20" after an append."""
-    found: dict[str, list[str]] = {}
-    first = 0
-    for split, group in groupby(splits):
-        stop = first + len(list(group))
-        found.setdefault(split, []).append(f"{first}:{stop}")
-        first = stop
-    return {split: ",".join(parts) for split, parts in found.items()}
 
 
 def _statistics(files: list[Path], described: Features) -> dict[str, Any]:

@@ -1,5 +1,7 @@
 """`meta/info.json`, held to what a release of this format says in it: nothing else is ever followed."""
 
+from collections.abc import Iterable
+from itertools import groupby
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -138,3 +140,18 @@ def _check(path: Path, info: _Info) -> None:
             f"{path}: {info.total_episodes:,} episodes of at least one frame do not go into "
             f"{info.total_frames:,} frames; build the release again"
         )
+
+
+def split_ranges(splits: Iterable[str]) -> dict[str, str]:
+    """Ranges of episodes of each split, as LeRobot writes one: "0:10", and "0:10,14:20" after an append.
+
+    Args:
+        splits: of every episode, in order.
+    """
+    found: dict[str, list[str]] = {}
+    first = 0
+    for split, group in groupby(splits):
+        stop = first + len(list(group))
+        found.setdefault(split, []).append(f"{first}:{stop}")
+        first = stop
+    return {split: ",".join(parts) for split, parts in found.items()}

@@ -20,7 +20,7 @@ from gym_open.datasets.filter import filter_release
 from gym_open.datasets.verify import Report, run, verify_release
 from gym_open.datasets.verify.replaying import replay_release
 from gym_open.datasets.writing.sources import Episode, episodes_of_logs
-from gym_open.formats.pictures import encode_png
+from gym_open.formats.pictures import encode_pngs
 from gym_open.formats.releases import IMAGE, open_release
 
 Reseal = Callable[[Path], None]
@@ -208,7 +208,7 @@ def other_picture(root: Path) -> str:
     def change(rows: list[Any]) -> list[Any]:
         images = open_release(root).images([0])
         images[0, 0, 0] ^= 1
-        return [{"bytes": encode_png(images[0]), "path": None}, *rows[1:]]
+        return [{"bytes": encode_pngs(images[:1])[0], "path": None}, *rows[1:]]
 
     edit_table(root, "data/chunk-000/file-000.parquet", lambda t: replaced(t, IMAGE, change))
     return "observation.image is not what its content digest says"
