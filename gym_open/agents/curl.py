@@ -21,16 +21,6 @@ from gym_open.agents.encoder import Encoder, autocast, init_layer
 from gym_open.agents.world_model import Transitions, WorldModel
 
 
-def info_nce(logits: Tensor) -> Tensor:
-    """Contrastive loss `−mean_i log softmax(logits[i])[i]` of (B, B) logits: the partner of query i is key i."""
-    return F.cross_entropy(logits.float(), torch.arange(len(logits)))
-
-
-def contrastive_accuracy(logits: Tensor) -> Tensor:
-    """Share of queries whose own key has the highest of (B, B) logits; chance is 1/B."""
-    return (logits.argmax(dim=1) == torch.arange(len(logits))).float().mean()
-
-
 class Curl(WorldModel):
     """An encoder, a projection of its features, a bilinear similarity, and a slow copy of both that makes the keys.
 
@@ -38,6 +28,7 @@ class Curl(WorldModel):
     """
 
     error_parts = ("error",)
+    figures = ("accuracy",)
     _steps: Tensor
 
     def __init__(self, encoder: Encoder, config: CurlConfig, generator: torch.Generator) -> None:
@@ -50,29 +41,19 @@ class Curl(WorldModel):
         self.key = copy.deepcopy(nn.Sequential(encoder.layers, self.projection)).requires_grad_(requires_grad=False)
         self.register_buffer("_steps", torch.zeros((), dtype=torch.int64))
 
-    def logits(self, images: Tensor, generator: torch.Generator) -> Tensor:
-        """Similarity `qᵀ W k` of two random shifts of every picture, less its row's maximum.
-
-        Args:
-            images: (B, 84, 84, 3) uint8.
-            generator: source of the shifts.
-
-        Returns:
-            (B, B): row i compares query i with every key.
-        """
-        query = self.projection(self.features(images, self._draw(images, generator)))
-        logits = query.float() @ self.W @ self._keys(images, self._draw(images, generator)).T
-        return logits - logits.max(dim=1, keepdim=True).values.detach()
-
-    def loss(
+    def measure(
         self, transitions: Transitions, shifts: Tensor, generator: torch.Generator, features: Tensor | None = None
-    ) -> Tensor:
-        """InfoNCE of B observations between the given shifts of them and another, random one."""
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """InfoNCE of B observations between the given shifts of them and another, random one.
+
+        `accuracy` is how often the key that is most similar to a query is its own; chance is 1 in B.
+        """
         images = transitions.obs
         if features is None:
             features = self.features(images, shifts)
-        query, keys = self.projection(features), self._keys(images, self._draw(images, generator))
-        return self._info_nce(query, keys).mean()
+        logits = self._logits(self.projection(features), self._keys(images, self._draw(images, generator)))
+        own = torch.arange(len(logits), device=logits.device)
+        return F.cross_entropy(logits, own), {"accuracy": (logits.argmax(dim=1) == own).float().mean()}
 
     @torch.no_grad()
     def world_loss(self, transitions: Transitions, generator: torch.Generator) -> float:
@@ -83,8 +64,9 @@ class Curl(WorldModel):
     def errors(self, transitions: Transitions) -> dict[str, Tensor]:
         """`error`: InfoNCE of the picture that each step led to, among those of all B steps, unshifted."""
         images = transitions.next_obs
-        keys = self._keys(images, no_shifts(len(images)))
-        return {"error": self._info_nce(self.latent(images), keys)}
+        logits = self._logits(self.latent(images), self._keys(images, no_shifts(len(images))))
+        own = torch.arange(len(logits), device=logits.device)
+        return {"error": F.cross_entropy(logits, own, reduction="none")}
 
     @torch.no_grad()
     def latent(self, images: Tensor) -> Tensor:
@@ -109,8 +91,7 @@ class Curl(WorldModel):
         """What the key network makes of pictures, (B, latent) fp32."""
         return self.key(self.encoder.prepare_shifted(images, shifts)).float()
 
-    def _info_nce(self, query: Tensor, keys: Tensor) -> Tensor:
-        """InfoNCE of each query, (B,), with similarities in fp32: rounded to bf16 they would put a floor under it."""
-        with autocast("fp32"):
-            logits = query.float() @ self.W @ keys.T
-            return F.cross_entropy(logits, torch.arange(len(logits)), reduction="none")
+    def _logits(self, query: Tensor, keys: Tensor) -> Tensor:
+        """Similarity `qᵀ W k` of each query with every key, (B, B) fp32: bf16 would put a floor under the loss."""
+        with autocast("fp32", query.device.type):
+            return query.float() @ self.W @ keys.T

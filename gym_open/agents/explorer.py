@@ -20,23 +20,14 @@ from torch import Tensor, nn
 
 from gym_open import seeding
 from gym_open.agents.augment import draw_shifts
-from gym_open.agents.config import ExplorerConfig, RewardName, WorldModelName
-from gym_open.agents.curl import Curl
+from gym_open.agents.config import ExplorerConfig, RewardName
 from gym_open.agents.encoder import Encoder, autocast
-from gym_open.agents.icm import Icm
 from gym_open.agents.policy import ActorCritic
 from gym_open.agents.ppo import Rollout, gae, policy_loss, value_loss
 from gym_open.agents.rewards import OwnError, Reward, RewardScale, Ride
-from gym_open.agents.rnd import Rnd
 from gym_open.agents.world_model import Transitions, WorldModel
-from gym_open.errors import GymOpenError
-
-WORLD_MODELS: dict[WorldModelName, Callable[[ExplorerConfig, Encoder, int, torch.Generator], WorldModel]] = {
-    "icm": lambda config, encoder, n_actions, init: Icm(encoder, config.icm, n_actions, init),
-    "rnd": lambda config, encoder, _, init: Rnd(encoder, config.rnd, init),
-    "curl": lambda config, encoder, _, init: Curl(encoder, config.curl, init),
-}
-"""World models by name, made on an encoder."""
+from gym_open.agents.world_models import WORLD_MODELS
+from gym_open.errors import DivergedError
 
 REWARDS: dict[RewardName, Callable[[WorldModel], Reward]] = {"error": OwnError, "ride": Ride}
 """Rewards by name, made of a world model."""
@@ -78,10 +69,6 @@ class Learned:
     reward: Tensor
     parts: Tensor
     stats: UpdateStats
-
-
-class DivergedError(GymOpenError):
-    """What the explorer gives is no longer finite: its weights are beyond repair."""
 
 
 class Explorer:

@@ -19,12 +19,14 @@ from torch import Tensor, nn
 
 from gym_open.agents.augment import no_shifts
 from gym_open.agents.config import IcmConfig
-from gym_open.agents.encoder import Encoder, autocast, init_layer
+from gym_open.agents.encoder import Encoder, init_layer
 from gym_open.agents.world_model import Transitions, WorldModel
 
 
 class Icm(WorldModel):
     """Inverse and forward model over the encoder's normalised features."""
+
+    figures = ("forward", "inverse", "inverse_accuracy")
 
     def __init__(self, encoder: Encoder, config: IcmConfig, n_actions: int, generator: torch.Generator) -> None:
         super().__init__(encoder, config.loss_scale)
@@ -35,19 +37,21 @@ class Icm(WorldModel):
         self.inverse = _two_layers(2 * width, config.hidden, n_actions, generator)
         self.predictor = _two_layers(width + n_actions, config.hidden, width, generator)
 
-    def loss(
+    def measure(
         self,
         transitions: Transitions,
         shifts: Tensor,
         generator: torch.Generator,  # noqa: ARG002  (all shifts are given)
         features: Tensor | None = None,
-    ) -> Tensor:
-        """`(1 − β)·inverse + β·forward` over B steps, s and s′ of a step shifted alike."""
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """`(1 − β)·inverse + β·forward` over B steps, s and s′ shifted alike; both, and how often p names a."""
         if features is None:
             features = self.features(transitions.obs, shifts)
         phi, next_phi = _normalised(features), _normalised(self.features(transitions.next_obs, shifts))
-        forward, inverse = self._compare(phi, next_phi, transitions.actions)
-        return ((1 - self.config.beta) * inverse + self.config.beta * forward).mean()
+        forward, inverse, named = self._compare(phi, next_phi, transitions.actions)
+        loss = ((1 - self.config.beta) * inverse + self.config.beta * forward).mean()
+        means = (part.detach().mean() for part in (forward, inverse, named))
+        return loss, dict(zip(self.figures, means, strict=True))
 
     def action_logits(self, phi: Tensor, next_phi: Tensor) -> Tensor:
         """What the inverse model thinks was done between two latents (B, features): (B, n_actions) fp32 logits."""
@@ -57,7 +61,7 @@ class Icm(WorldModel):
     def errors(self, transitions: Transitions) -> dict[str, Tensor]:
         """`forward`, and `inverse` if it has weight: each error times its weight, clipped at 1."""
         phi, next_phi = self.latent(transitions.obs), self.latent(transitions.next_obs)
-        forward, inverse = self._compare(phi, next_phi, transitions.actions)
+        forward, inverse, _ = self._compare(phi, next_phi, transitions.actions)
         summands = {"forward": self.config.eta * forward, "inverse": self.config.eta_inverse * inverse}
         return {name: summands[name].clamp(max=1.0) for name in self.error_parts}
 
@@ -66,14 +70,14 @@ class Icm(WorldModel):
         """φ of B pictures, (B, features)."""
         return _normalised(self.features(images, no_shifts(len(images))))
 
-    def _compare(self, phi: Tensor, next_phi: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
-        """Forward error ½ mean_d (φ̂′ − φ′)² and inverse error −log p(a), (B,) each."""
+    def _compare(self, phi: Tensor, next_phi: Tensor, actions: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Forward error ½ mean_d (φ̂′ − φ′)², inverse error −log p(a), and 1 where p names a, else 0: (B,) fp32 each."""
         done = F.one_hot(actions, self.n_actions)
         predicted = self.predictor(torch.cat([phi.detach(), done], dim=1)).float()
+        forward = 0.5 * (predicted - next_phi.detach()).square().mean(dim=1)
         logits = self.action_logits(phi, next_phi)
-        with autocast("fp32"):
-            forward = 0.5 * (predicted - next_phi.detach()).square().mean(dim=1)
-            return forward, F.cross_entropy(logits, actions, reduction="none")
+        named = (logits.argmax(dim=1) == actions).float()
+        return forward, F.cross_entropy(logits, actions, reduction="none"), named
 
 
 def _normalised(features: Tensor) -> Tensor:

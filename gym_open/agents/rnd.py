@@ -20,7 +20,7 @@ Departures from `openai/random-network-distillation`, each with its reason:
 import torch
 from torch import Tensor, nn
 
-from gym_open.agents.augment import Window, no_shifts, shift_each
+from gym_open.agents.augment import no_shifts, shift_each
 from gym_open.agents.config import RndConfig
 from gym_open.agents.encoder import IMAGE_SHAPE, Encoder, convolutions, init_layer
 from gym_open.agents.world_model import Transitions, WorldModel
@@ -79,23 +79,19 @@ class Rnd(WorldModel):
         mean = self._sums.double() / count
         deviation = (self._squares.double() / count - mean.square()).clamp(min=1).sqrt()
         weight, offset = (1 / deviation).float(), (-mean / deviation).float()
+        return shift_each(images, shifts, weight, offset, torch.float32).clamp_(-self.config.clip, self.config.clip)
 
-        def place(source: Tensor, window: Window, out: Tensor) -> None:
-            torch.addcmul(offset[window], source, weight[window], out=out)
-
-        return shift_each(images, shifts, place, torch.float32).clamp_(-self.config.clip, self.config.clip)
-
-    def loss(
+    def measure(
         self,
         transitions: Transitions,
         shifts: Tensor,
         generator: torch.Generator,  # noqa: ARG002  (all shifts are given)
         features: Tensor | None = None,
-    ) -> Tensor:
+    ) -> tuple[Tensor, dict[str, Tensor]]:
         """Mean square error of the prediction over B observations."""
         if features is None:
             features = self.features(transitions.obs, shifts)
-        return self._error(transitions.obs, shifts, features).mean()
+        return self._error(transitions.obs, shifts, features).mean(), {}
 
     @torch.no_grad()
     def errors(self, transitions: Transitions) -> dict[str, Tensor]:

@@ -30,9 +30,11 @@ class WorldModel(nn.Module, ABC):
         encoder: from prepared pictures to features; the policy may hold the same one.
         loss_scale: what the curriculum multiplies the loss of a world by, so that one threshold serves all models.
         error_parts: names of what `errors` gives.
+        figures: names of what `measure` gives beside the loss.
     """
 
     error_parts: tuple[str, ...]
+    figures: tuple[str, ...] = ()
 
     def __init__(self, encoder: Encoder, loss_scale: float) -> None:
         super().__init__()
@@ -40,10 +42,10 @@ class WorldModel(nn.Module, ABC):
         self.loss_scale = loss_scale
 
     @abstractmethod
-    def loss(
+    def measure(
         self, transitions: Transitions, shifts: Tensor, generator: torch.Generator, features: Tensor | None = None
-    ) -> Tensor:
-        """What is minimised; a scalar.
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """What is minimised, a scalar, and scalars without gradient that tell how well it goes, named as in `figures`.
 
         Args:
             transitions: B steps.
@@ -51,6 +53,12 @@ class WorldModel(nn.Module, ABC):
             generator: source of further shifts.
             features: what the encoder makes of the shifted `transitions.obs`, (B, features), if that is known already.
         """
+
+    def loss(
+        self, transitions: Transitions, shifts: Tensor, generator: torch.Generator, features: Tensor | None = None
+    ) -> Tensor:
+        """What is minimised, of `measure`."""
+        return self.measure(transitions, shifts, generator, features)[0]
 
     @abstractmethod
     def errors(self, transitions: Transitions) -> dict[str, Tensor]:

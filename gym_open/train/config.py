@@ -2,31 +2,45 @@
 
 from typing import Literal
 
-from gym_open.agents.config import CurlConfig, EncoderConfig, PPOConfig, Precision
-from gym_open.config import Config, PositiveFloat, PositiveInt, Seed
+from gym_open.agents.config import CurlConfig, Device, EncoderConfig, IcmConfig, PPOConfig, Precision, RndConfig
+from gym_open.config import Config, Count, PositiveFloat, PositiveInt, Seed
 
 
 class EncoderTrainConfig(Config, frozen=True, kw_only=True):
-    """CURL from a release, off-line."""
+    """A world model from a release, off-line; its encoder is what is kept."""
 
+    world_model: Literal["icm", "rnd", "curl"] = "curl"
+    """What the encoder learns by."""
     updates: PositiveInt = 400
     """Gradient steps."""
     batch_size: PositiveInt = 128
-    """Pictures a gradient step; all others of a batch are the negatives of each."""
+    """Steps of play a gradient step; in `curl`, all others of a batch are the negatives of each."""
     learning_rate: PositiveFloat = 1e-3
     """Adam's step size."""
+    shift_pad: Count = 4
+    """Largest random shift, in pixels, of the pictures (Kostrikov et al. 2021); 0 for none."""
     report_every: PositiveInt = 50
     """Updates between two rows of the learning curve; a killed run goes on from the last of them."""
     encoder: EncoderConfig = EncoderConfig()
     """The network."""
-    curl: CurlConfig = CurlConfig(pad=8)
-    """The contrastive loss."""
+    icm: IcmConfig = IcmConfig()
+    """Looked at if `world_model` is `icm`."""
+    rnd: RndConfig = RndConfig()
+    """Looked at if `world_model` is `rnd`."""
+    curl: CurlConfig = CurlConfig()
+    """Looked at if `world_model` is `curl`."""
     precision: Precision = "bf16"
     """Arithmetic of the network: bf16 is the faster on CPUs that have it, weights stay fp32."""
+    device: Device = "cpu"
+    """Where the network computes."""
     threads: PositiveInt = 2
     """Torch threads; part of the configuration because the number of threads may change the last bits."""
     seed: Seed = 0
     """Root seed."""
+
+    def __post_init__(self) -> None:
+        if self.encoder.architecture == "state":
+            raise ValueError("`encoder.architecture` 'state' looks at no picture; give cnn or impala")
 
 
 class PolicyTrainConfig(Config, frozen=True, kw_only=True):
@@ -42,10 +56,18 @@ class PolicyTrainConfig(Config, frozen=True, kw_only=True):
     """Steps of each environment in a rollout."""
     mean_images: PositiveInt = 1000
     """From scratch, the pictures of so many puzzles make the mean picture; an encoder brings its own."""
+    checkpoints: tuple[PositiveInt, ...] = (200_000, 500_000, 1_000_000)
+    """The policy is kept as it is after so many steps, too, up to whole rollouts: the paper scores these."""
+    agent: str = ""
+    """What tables and reports call it; if empty, the explorer that the encoder comes from, or `scratch`."""
     encoder: EncoderConfig = EncoderConfig()
     """The network; must be that of the encoder that training starts from, if any."""
+    frozen: bool = False
+    """Leave the encoder as it is and learn the heads alone, from unshifted pictures."""
     ppo: PPOConfig = PPOConfig()
     """The learner."""
+    device: Device = "cpu"
+    """Where the network is: `cuda` for a GPU."""
     threads: PositiveInt = 2
     """Torch threads; part of the configuration because the number of threads may change the last bits."""
     seed: Seed = 0

@@ -1,4 +1,4 @@
-"""`gym-open train encoder`: CURL learned off-line from a release."""
+"""`gym-open train encoder`: a world model learned off-line from a release, of which the encoder is kept."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -8,9 +8,12 @@ import numpy as np
 import torch
 
 from gym_open import artefacts, progress, seeding
-from gym_open.agents.curl import Curl, contrastive_accuracy, info_nce
+from gym_open.agents.augment import draw_shifts
 from gym_open.agents.encoder import Encoder, autocast
-from gym_open.errors import ArtefactError
+from gym_open.agents.world_model import Transitions
+from gym_open.agents.world_models import WORLD_MODELS
+from gym_open.envs.constants import N_ACTIONS
+from gym_open.errors import ArtefactError, DivergedError
 from gym_open.formats.checkpoints import (
     load_checkpoint,
     load_optimizer,
@@ -20,45 +23,57 @@ from gym_open.formats.checkpoints import (
     without_prefix,
 )
 from gym_open.formats.models import save_encoder
-from gym_open.formats.releases import Release, open_release
-from gym_open.formats.windows import Pictures
+from gym_open.formats.releases import IMAGE, open_release
+from gym_open.formats.windows import Batch, Pictures, Windows
+from gym_open.hardware import hardware
 from gym_open.train.config import EncoderTrainConfig
 from gym_open.train.curve import Row, clean, save_curve
-
-COLUMNS = ("update", "loss", "accuracy", "held_out_loss", "held_out_accuracy")
-"""Of curve.json: means over the updates since the row before, and over fixed batches of the release's split `val`
-(worlds that are not in `train`); null if there is none."""
+from gym_open.train.tensorboard import Board
 
 HELD_OUT_BATCHES = 4
-MEAN_IMAGES = 10_000
-"""At most so many frames make the mean picture."""
+FIRST_IMAGES = 10_000
+"""At most so many frames, spread over the release, make the mean picture and prime running statistics."""
 
 
-def train_encoder(config: EncoderTrainConfig, release: Path, out: Path) -> artefacts.Outcome:
-    """Learn an encoder from the pictures of `release`.
+def train_encoder(
+    config: EncoderTrainConfig, release: Path, out: Path, *, tensorboard: Path | None = None, cache: Path | None = None
+) -> artefacts.Outcome:
+    """Learn an encoder from the steps of play in `release`.
 
-    It learns from the release's split `train`; `val` is only looked at.
-    Payload: `model.safetensors` and `model.json` (the query encoder with its mean picture) and `curve.json`.
-    Killed, it goes on from the last row of its curve.
+    It learns from the release's split `train`; `val` is only looked at. Killed, it goes on from the last row of its
+    curve. Payload: `model.safetensors` and `model.json` (the encoder with its mean picture) and `curve.json`, whose
+    columns are `update`, the world model's `loss` and figures as means over the updates since the row before, and the
+    same with `held_out_` over fixed batches of the split `val` (worlds that are not in `train`; null if there is none).
 
     Args:
-        config: network, loss, length, seed.
+        config: network, world model, length, seed.
         release: a release artefact.
         out: folder of the encoder.
+        tensorboard: folder for event files of the curve; they hold times of day, so it is not in the artefact.
+        cache: folder that keeps the release's decoded pictures for the next run; by default they go when this one ends.
 
     Raises:
-        ArtefactError: if the release is damaged or has too few frames for one batch.
+        ArtefactError: if the release is damaged or has too few steps for one batch.
+        DivergedError: if the loss is no longer finite.
     """
 
     def work(partial: Path) -> Mapping[str, Any]:
         torch.set_num_threads(config.threads)
-        source = open_release(release)
-        trainer = _Trainer(config, source, partial / artefacts.SCRATCH / "state.safetensors")
+        scratch = partial / artefacts.SCRATCH
+        pictures = Pictures(open_release(release), cache=cache or scratch)  # a resumed run finds them there
+        trainer = _Trainer(config, pictures, scratch / "state.safetensors")
         trainer.resume()
-        trainer.run()
-        save_encoder(partial, trainer.curl.encoder)
-        save_curve(partial, COLUMNS, trainer.rows)
-        return {"updates": config.updates, "frames": len(trainer.train_frames)}
+        board = Board(tensorboard)
+        trainer.run(board)
+        board.close()
+        save_encoder(partial, trainer.model.encoder)
+        save_curve(partial, trainer.columns, trainer.rows)
+        return {
+            "world_model": config.world_model,
+            "updates": config.updates,
+            "frames": trainer.frames,
+            "hardware": hardware(config.threads, config.device),
+        }
 
     return artefacts.build(out, kind="encoder", config=config, parents=[release], work=work)
 
@@ -66,95 +81,127 @@ def train_encoder(config: EncoderTrainConfig, release: Path, out: Path) -> artef
 class _Trainer:
     """The state of one run: everything that a checkpoint holds."""
 
-    def __init__(self, config: EncoderTrainConfig, release: Release, checkpoint: Path) -> None:
-        self.config = config
-        self.checkpoint = checkpoint
-        self.train_frames, self.held_out_frames = release.split("train"), release.split("val")
-        if len(self.train_frames) < config.batch_size:
+    def __init__(self, config: EncoderTrainConfig, pictures: Pictures, checkpoint: Path) -> None:
+        self.config, self.checkpoint = config, checkpoint
+        self.train, self.held_out = _steps(pictures, "train"), _steps(pictures, "val")
+        if self.train is None or len(self.train) < config.batch_size:
             raise ArtefactError(
-                f"{release.root}: split 'train' has {len(self.train_frames)} frames, expected at least batch_size = "
-                f"{config.batch_size}; collect more steps or make batch_size smaller"
+                f"{pictures.release.root}: split 'train' has {len(self.train or ())} steps, expected at least "
+                f"batch_size = {config.batch_size}; collect more steps or make batch_size smaller"
             )
-        self._decoded = Pictures(release, cache=checkpoint.parent)  # a resumed run finds it there
-        init = torch.Generator().manual_seed(seeding.integer(config.seed, "encoder", "init"))
+        init = self._torch_generator("init")
         encoder = Encoder(config.encoder, init)
-        spread = np.linspace(0, len(self.train_frames) - 1, min(len(self.train_frames), MEAN_IMAGES)).astype(np.int64)
-        encoder.set_mean_image(self.pictures(self.train_frames[spread]))
-        self.curl = Curl(encoder, config.curl, init)
-        parameters = [parameter for parameter in self.curl.parameters() if parameter.requires_grad]
-        self.optimizer = torch.optim.Adam(parameters, lr=config.learning_rate)
-        self.batches = seeding.generator(config.seed, "encoder", "batches")
-        self.shifts = torch.Generator().manual_seed(seeding.integer(config.seed, "encoder", "shifts"))
+        frames = pictures.release.split("train")
+        self.frames = len(frames)
+        spread = np.linspace(0, len(frames) - 1, min(len(frames), FIRST_IMAGES)).astype(np.int64)
+        first = torch.from_numpy(pictures.take(frames[spread]))
+        encoder.set_mean_image(first)
+        self.model = WORLD_MODELS[config.world_model](config, encoder, N_ACTIONS, init)
+        self.model.watch(first)
+        self.model.to(config.device)
+        learned = [parameter for parameter in self.model.parameters() if parameter.requires_grad]
+        self.optimizer = torch.optim.Adam(learned, lr=config.learning_rate, fused=True)
+        self.shifts = self._torch_generator("shifts")
         self.rows: list[Row] = []
-        self.update = 0
 
-    def run(self) -> None:
+    def _torch_generator(self, name: str) -> torch.Generator:
+        return torch.Generator().manual_seed(seeding.integer(self.config.seed, "encoder", name))
+
+    @property
+    def columns(self) -> list[str]:
+        """Of the learning curve."""
+        figures = ["loss", *self.model.figures]
+        return ["update", *figures, *(f"held_out_{name}" for name in figures)]
+
+    @property
+    def update(self) -> int:
+        """Gradient steps up to the last row."""
+        return int(self.rows[-1][0] or 0) if self.rows else 0
+
+    def run(self, board: Board) -> None:
         """Train to the last update, a checkpoint with every row of the curve."""
-        config, sums = self.config, np.zeros(2)
+        config, since = self.config, torch.zeros(())
+        assert self.train is not None
+        batches = self.train.batches(
+            seeding.generator(config.seed, "encoder", "batches"), config.batch_size, skip=self.update
+        )
         with progress.bar("train encoder", config.updates, done=self.update) as bar:
-            while self.update < config.updates:
-                sums += self.step()
+            for update in range(self.update + 1, config.updates + 1):
+                since = since + self.step(next(batches), update)
                 bar.advance()
-                if self.update % config.report_every and self.update < config.updates:
+                if update % config.report_every and update < config.updates:
                     continue
-                since = self.update - int(self.rows[-1][0] or 0) if self.rows else self.update
-                loss, accuracy = (sums / since).tolist()
-                self.rows.append(clean([self.update, loss, accuracy, *self.held_out()]))
-                sums[:] = 0
+                learned = (since / (update - self.update)).tolist()
+                since = torch.zeros(())
+                self.rows.append(clean([update, *learned, *self.measure_held_out()]))
                 self.save()
-                bar.advance(0, note=f"loss {loss:.3f} accuracy {accuracy:.3f}")
+                board.row(update, dict(zip(self.columns[1:], self.rows[-1][1:], strict=True)))
+                bar.advance(0, note=f"loss {learned[0]:.3g} held out {self.rows[-1][1 + len(learned)] or 0:.3g}")
 
-    def pictures(self, frames: np.ndarray) -> torch.Tensor:
-        """Pictures of the release by frame number: (n, 84, 84, 3) uint8."""
-        return torch.from_numpy(self._decoded.take(frames))
+    def step(self, batch: Batch, update: int) -> torch.Tensor:
+        """One gradient step; its loss and figures, (1 + figures,) float64.
 
-    def step(self) -> tuple[float, float]:
-        """One gradient step; its loss and contrastive accuracy."""
-        frames = self.batches.choice(self.train_frames, size=self.config.batch_size, replace=False)
-        with autocast(self.config.precision):
-            logits = self.curl.logits(self.pictures(frames), self.shifts)
-        loss = info_nce(logits)
+        Raises:
+            DivergedError: if the loss is not finite.
+        """
+        loss, figures = self.measure(batch, self.shifts)
         self.optimizer.zero_grad()
         loss.backward()
         self.optimizer.step()
-        self.update += 1
-        self.curl.stepped()
-        return loss.item(), contrastive_accuracy(logits).item()
+        self.model.stepped()
+        if not figures[0].isfinite():
+            raise DivergedError(
+                f"the loss is not finite in update {update}: learning has diverged; give a lower `learning_rate`, got "
+                f"{self.config.learning_rate:g}, or a smaller `encoder.pixel_scale`, got "
+                f"{self.config.encoder.pixel_scale:g}"
+            )
+        return figures
+
+    def measure(self, batch: Batch, shifts: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
+        """The loss of a batch of steps, and the loss and figures as numbers, (1 + figures,) float64 on the CPU."""
+        images, device = torch.from_numpy(batch[IMAGE]).to(self.config.device), self.config.device
+        actions = torch.from_numpy(batch["action.index"][:, 0]).to(device)
+        drawn = draw_shifts(len(images), self.config.shift_pad, shifts)
+        with autocast(self.config.precision, device):
+            loss, figures = self.model.measure(Transitions(images[:, 0], actions, images[:, 1]), drawn, shifts)
+        return loss, torch.stack([loss.detach(), *figures.values()]).double().cpu()
 
     @torch.no_grad()
-    def held_out(self) -> tuple[float, float]:
-        """Mean loss and accuracy on the same batches of split `val` each time; not a number if it is empty."""
-        size = min(self.config.batch_size, len(self.held_out_frames))
-        if not size:
-            return float("nan"), float("nan")
-        rng = seeding.generator(self.config.seed, "encoder", "held-out batches")
-        shifts = torch.Generator().manual_seed(seeding.integer(self.config.seed, "encoder", "held-out shifts"))
-        found = []
-        for _ in range(HELD_OUT_BATCHES):
-            frames = rng.choice(self.held_out_frames, size=size, replace=False)
-            with autocast(self.config.precision):
-                logits = self.curl.logits(self.pictures(frames), shifts)
-            found.append((info_nce(logits).item(), contrastive_accuracy(logits).item()))
-        loss, accuracy = np.mean(found, axis=0).tolist()
-        return loss, accuracy
+    def measure_held_out(self) -> list[float]:
+        """Mean loss and figures on the same batches of split `val` each time; not a number if there is none."""
+        if self.held_out is None:
+            return [float("nan")] * (1 + len(self.model.figures))
+        rng, shifts = (
+            seeding.generator(self.config.seed, "encoder", "held-out batches"),
+            self._torch_generator("held out"),
+        )
+        size = min(self.config.batch_size, len(self.held_out))
+        draws = [rng.choice(len(self.held_out), size=size, replace=False) for _ in range(HELD_OUT_BATCHES)]
+        return torch.stack([self.measure(self.held_out.fetch(one), shifts)[1] for one in draws]).mean(dim=0).tolist()
 
     def save(self) -> None:
         """Write the checkpoint."""
         tensors = {
-            **prefixed("curl", self.curl.state_dict()),
+            **prefixed("model", self.model.state_dict()),
             **prefixed("optimizer", optimizer_tensors(self.optimizer)),
             "shifts": self.shifts.get_state(),
         }
-        meta = {"update": self.update, "rows": self.rows, "batches": self.batches.bit_generator.state}
-        save_checkpoint(self.checkpoint, tensors, meta)
+        save_checkpoint(self.checkpoint, tensors, {"rows": self.rows})
 
     def resume(self) -> None:
         """Go on from the checkpoint if there is one."""
         if not self.checkpoint.exists():
             return
         tensors, meta = load_checkpoint(self.checkpoint)
-        self.curl.load_state_dict(without_prefix("curl", tensors))
+        self.model.load_state_dict(without_prefix("model", tensors))
         load_optimizer(self.optimizer, without_prefix("optimizer", tensors))
         self.shifts.set_state(tensors["shifts"])
-        self.batches.bit_generator.state = meta["batches"]
-        self.update, self.rows = meta["update"], meta["rows"]
+        self.rows = meta["rows"]
+
+
+def _steps(pictures: Pictures, split: str) -> Windows | None:
+    """Every step of a split: two frames of one episode and the action between them; None if there is none."""
+    episodes = pictures.release.episodes
+    if not ((episodes["split"] == split) & (episodes["length"] > 1)).any():
+        return None
+    return Windows(pictures, split, length=2)

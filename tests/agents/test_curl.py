@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from gym_open.agents.augment import no_shifts
+from gym_open.agents.augment import draw_shifts, no_shifts
 from gym_open.agents.config import CurlConfig, EncoderConfig
-from gym_open.agents.curl import Curl, contrastive_accuracy, info_nce
+from gym_open.agents.curl import Curl
 from gym_open.agents.encoder import Encoder
 from gym_open.agents.world_model import Transitions
 
@@ -25,30 +25,8 @@ def steps(images: torch.Tensor) -> Transitions:
 
 
 def plain_info_nce(logits: np.ndarray) -> np.ndarray:
+    """The log share of each query's partner."""
     return -np.array([np.log(np.exp(row[i]) / np.exp(row).sum()) for i, row in enumerate(logits.astype(np.float64))])
-
-
-def test_info_nce_is_the_log_share_of_the_partner() -> None:
-    logits = np.random.default_rng(0).normal(size=(6, 6)) * 3
-    np.testing.assert_allclose(info_nce(torch.from_numpy(logits)).item(), plain_info_nce(logits).mean(), rtol=1e-5)
-
-
-def test_info_nce_closed_forms() -> None:
-    np.testing.assert_allclose(info_nce(torch.zeros(16, 16)).item(), np.log(16), rtol=1e-6)
-    assert info_nce(100 * torch.eye(4)).item() < 1e-6
-
-
-def test_accuracy_counts_partners_that_win() -> None:
-    logits = torch.tensor([[2.0, 1, 0], [3, 1, 0], [0, 0, 1]])
-    np.testing.assert_allclose(contrastive_accuracy(logits).item(), 2 / 3, rtol=1e-6)
-
-
-def test_logits_are_bilinear_less_the_row_maximum(pictures: Pictures) -> None:
-    model, images = curl(pad=0), pictures(5)
-    z = model.latent(images).numpy()  # before any learning the key network is the query network
-    raw = z @ model.W.detach().numpy() @ z.T
-    found = model.logits(images, torch.Generator()).detach().numpy()
-    np.testing.assert_allclose(found, raw - raw.max(axis=1, keepdims=True), atol=1e-4)
 
 
 def test_loss_world_loss_and_errors_are_info_nce_of_the_right_pictures(pictures: Pictures) -> None:
@@ -66,14 +44,18 @@ def test_loss_world_loss_and_errors_are_info_nce_of_the_right_pictures(pictures:
 
 def test_the_loss_compares_the_given_shift_with_a_drawn_one(pictures: Pictures) -> None:
     model, images = curl(pad=6), pictures(8)
+    torch.nn.init.eye_(model.W)  # so that some pictures are told apart before any learning, and others not
     given = torch.randint(-6, 7, (8, 2), generator=torch.Generator().manual_seed(3))
     drawn = torch.randint(-6, 7, (8, 2), generator=torch.Generator().manual_seed(5))
     with torch.no_grad():
         query = model.projection(model.features(images, given)).numpy()
         keys = model.key(model.encoder.prepare_shifted(images, drawn)).numpy()
-    expected = plain_info_nce(query @ model.W.detach().numpy() @ keys.T).mean()
-    found = model.loss(steps(images), given, torch.Generator().manual_seed(5)).item()
-    np.testing.assert_allclose(found, expected, rtol=1e-4)
+    logits = query @ model.W.detach().numpy() @ keys.T
+    loss, figures = model.measure(steps(images), given, torch.Generator().manual_seed(5))
+    np.testing.assert_allclose(loss.item(), plain_info_nce(logits).mean(), rtol=1e-4)
+    accuracy = np.mean([row.argmax() == i for i, row in enumerate(logits)])
+    assert 0 < accuracy < 1
+    np.testing.assert_allclose(figures["accuracy"].item(), accuracy, rtol=1e-6)
 
 
 def test_latent_is_layer_normalised(pictures: Pictures) -> None:
@@ -108,13 +90,18 @@ def test_key_network_gets_no_gradient_and_encoder_does(pictures: Pictures) -> No
 def test_curl_learns_to_tell_pictures_apart(pictures: Pictures) -> None:
     model, images, generator = curl(), pictures(16), torch.Generator().manual_seed(0)
     optimizer = torch.optim.Adam([p for p in model.parameters() if p.requires_grad], lr=1e-3)
-    first = info_nce(model.logits(images, generator)).item()
+
+    def measured() -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+        shifts = draw_shifts(16, 4, generator)
+        return model.measure(steps(images), shifts, generator)
+
+    first = measured()[0].item()
     for _ in range(150):
-        loss = info_nce(model.logits(images, generator))
+        loss, _ = measured()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
         model.stepped()
-    logits = model.logits(images, generator)
-    assert info_nce(logits).item() < 0.6 * first
-    assert contrastive_accuracy(logits).item() > 0.5  # chance is 1/16
+    loss, figures = measured()
+    assert loss.item() < 0.6 * first
+    assert figures["accuracy"].item() > 0.5  # chance is 1/16

@@ -20,8 +20,9 @@ from gym_open.agents.config import (
     WorldModelName,
 )  # fmt: skip
 from gym_open.agents.encoder import Encoder
-from gym_open.agents.explorer import REWARDS, WORLD_MODELS, Acted, Explorer, Learned
+from gym_open.agents.explorer import REWARDS, Acted, Explorer, Learned
 from gym_open.agents.world_model import Transitions
+from gym_open.agents.world_models import WORLD_MODELS
 
 Pictures = Callable[..., Tensor]
 PPO = PPOConfig(learning_rate=1e-3, minibatch_size=16, update_epochs=1, shift_pad=2, precision="fp32")

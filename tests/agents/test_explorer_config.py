@@ -5,7 +5,8 @@ from typing import cast, get_args
 import pytest
 
 from gym_open.agents.config import ExplorerConfig, RewardName, WorldModelName
-from gym_open.agents.explorer import REWARDS, WORLD_MODELS
+from gym_open.agents.explorer import REWARDS
+from gym_open.agents.world_models import WORLD_MODELS
 from gym_open.config import decode
 from gym_open.errors import ConfigError
 

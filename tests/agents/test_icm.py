@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 import torch
 
 from gym_open.agents.augment import no_shifts
@@ -31,8 +32,8 @@ def dense(network: torch.nn.Module, x: np.ndarray) -> np.ndarray:
     return np.maximum(x @ w1.T + b1, 0) @ w2.T + b2
 
 
-def plain_errors(model: Icm, play: Transitions) -> tuple[np.ndarray, np.ndarray]:
-    """½ mean_d (φ̂′ − φ′)² and −log p(a), from features and weights alone."""
+def plain_errors(model: Icm, play: Transitions) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """½ mean_d (φ̂′ − φ′)², −log p(a) and whether a is the likeliest, from features and weights alone."""
 
     def phi(images: torch.Tensor) -> np.ndarray:
         x = model.encoder(model.encoder.prepare(images)).detach().numpy().astype(np.float64)
@@ -42,24 +43,28 @@ def plain_errors(model: Icm, play: Transitions) -> tuple[np.ndarray, np.ndarray]
     predicted = dense(model.predictor, np.concatenate([before, np.eye(9)[play.actions.numpy()]], axis=1))
     logits = dense(model.inverse, np.concatenate([before, after], axis=1))
     p = np.exp(logits) / np.exp(logits).sum(1, keepdims=True)
-    return 0.5 * ((predicted - after) ** 2).mean(1), -np.log(p[np.arange(5), play.actions.numpy()])
+    actions = play.actions.numpy()
+    return 0.5 * ((predicted - after) ** 2).mean(1), -np.log(p[np.arange(5), actions]), p.argmax(1) == actions
 
 
 def test_the_loss_is_the_papers_mixture_of_both_errors(pictures: Pictures) -> None:
     model, play = icm(beta=0.3), steps(pictures)
-    forward, inverse = plain_errors(model, play)
+    forward, inverse, named = plain_errors(model, play)
     expected = 0.7 * inverse.mean() + 0.3 * forward.mean()
     nothing = torch.Generator()
     features = model.features(play.obs, no_shifts(5))
     np.testing.assert_allclose(model.loss(play, no_shifts(5), nothing).item(), expected, rtol=1e-4)
     np.testing.assert_allclose(model.loss(play, no_shifts(5), nothing, features).item(), expected, rtol=1e-4)
     np.testing.assert_allclose(model.world_loss(play, nothing), expected, rtol=1e-4)
+    figures = {name: value.item() for name, value in model.measure(play, no_shifts(5), nothing)[1].items()}
+    means = {"forward": forward.mean(), "inverse": inverse.mean(), "inverse_accuracy": named.mean()}
+    assert figures == pytest.approx(means, rel=1e-4)
 
 
 def test_the_reward_is_the_forward_error_weighted_and_clipped(pictures: Pictures) -> None:
     play = steps(pictures)
     model = icm(eta=0.01)
-    forward, inverse = plain_errors(model, play)
+    forward, inverse, _ = plain_errors(model, play)
     assert model.error_parts == ("forward",)
     np.testing.assert_allclose(model.errors(play)["forward"].numpy(), 0.01 * forward, rtol=1e-3)
     eta = 1 / float(np.median(forward))  # some errors are over 1 then

@@ -9,9 +9,9 @@ import torch
 from gym_open.agents.augment import draw_shifts
 from gym_open.agents.config import EncoderConfig, ExplorerConfig, WorldModelName
 from gym_open.agents.encoder import Encoder, autocast
-from gym_open.agents.explorer import WORLD_MODELS
 from gym_open.agents.icm import Icm
 from gym_open.agents.world_model import Transitions, WorldModel
+from gym_open.agents.world_models import WORLD_MODELS
 
 RandomPlay = Callable[[int, int], Transitions]
 

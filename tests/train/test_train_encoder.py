@@ -1,4 +1,4 @@
-"""CURL from a release: repeatable, resumable, and plain about what it cannot do."""
+"""World models from a release: repeatable, resumable, and plain about what they cannot do."""
 
 import functools
 import json
@@ -12,47 +12,61 @@ import pytest
 import torch
 
 from gym_open import artefacts
-from gym_open.agents.config import CurlConfig, EncoderConfig
-from gym_open.errors import ArtefactError
+from gym_open.agents.config import CurlConfig, EncoderConfig, IcmConfig, RndConfig
+from gym_open.errors import ArtefactError, DivergedError
 from gym_open.formats.models import load_encoder
 from gym_open.formats.releases import open_release
 from gym_open.formats.windows import Pictures
 from gym_open.train.config import EncoderTrainConfig
-from gym_open.train.encoder import COLUMNS, train_encoder
+from gym_open.train.encoder import train_encoder
 
 TINY = EncoderTrainConfig(
-    updates=6, batch_size=8, report_every=4, encoder=EncoderConfig(features=16), curl=CurlConfig(latent=8), threads=1
-)
+    updates=6, batch_size=8, report_every=4, encoder=EncoderConfig(features=16), icm=IcmConfig(hidden=8),
+    rnd=RndConfig(hidden=8, outputs=8), curl=CurlConfig(latent=8), threads=1,
+)  # fmt: skip
+MODELS = [msgspec.structs.replace(TINY, world_model=name) for name in ("icm", "rnd", "curl")]
+FIGURES = {
+    "icm": ["loss", "forward", "inverse", "inverse_accuracy"],
+    "rnd": ["loss"],
+    "curl": ["loss", "accuracy"],
+}
+each_model = pytest.mark.parametrize("config", MODELS, ids=[config.world_model for config in MODELS])
 
 
-def curve(path: Path) -> list[list[float | None]]:
+def curve(path: Path) -> dict[str, list[float | None]]:
     found = json.loads((path / "curve.json").read_text())
-    assert found["columns"] == list(COLUMNS)
-    return found["rows"]
+    return {name: [row[i] for row in found["rows"]] for i, name in enumerate(found["columns"])}
 
 
-def test_twice_gives_the_same_bytes_and_a_second_time_nothing_is_done(release: Path, tmp_path: Path) -> None:
-    first, second = (train_encoder(TINY, release, tmp_path / name) for name in ("a", "b"))
+@each_model
+def test_twice_gives_the_same_bytes_and_a_second_time_nothing_is_done(
+    config: EncoderTrainConfig, release: Path, tmp_path: Path
+) -> None:
+    first, second = (train_encoder(config, release, tmp_path / name) for name in ("a", "b"))
     assert first.made
     assert artefacts.digest(first.path) == artefacts.digest(second.path)
-    assert not train_encoder(TINY, release, tmp_path / "a").made
-    other = train_encoder(msgspec.structs.replace(TINY, seed=1), release, tmp_path / "c")
+    assert not train_encoder(config, release, tmp_path / "a").made
+    other = train_encoder(msgspec.structs.replace(config, seed=1), release, tmp_path / "c")
     a, c = (load_encoder(made.path).state_dict()["layers.0.weight"] for made in (first, other))
     assert not torch.equal(a, c)
 
 
-def test_payload_curve_and_lineage(release: Path, tmp_path: Path) -> None:
-    path = train_encoder(TINY, release, tmp_path / "e").path
+@each_model
+def test_payload_curve_and_lineage(config: EncoderTrainConfig, release: Path, tmp_path: Path) -> None:
+    path = train_encoder(config, release, tmp_path / "e").path
     assert {item.name for item in path.iterdir()} == {
         "model.safetensors", "model.json", "curve.json", "config.json", "lineage.json", "manifest.json",
     }  # fmt: skip
-    rows = curve(path)
-    assert [row[0] for row in rows] == [4, 6]
-    assert all(value is not None and np.isfinite(value) for row in rows for value in row)
+    found = curve(path)
+    figures = FIGURES[config.world_model]
+    assert list(found) == ["update", *figures, *(f"held_out_{name}" for name in figures)]
+    assert found["update"] == [4, 6]
+    assert all(value is not None and np.isfinite(value) for column in found.values() for value in column)
     record = artefacts.lineage(path)
     assert record.kind == "encoder"
     assert [parent.digest for parent in record.parents] == [artefacts.digest(release)]
-    assert record.facts == {"updates": 6, "frames": len(open_release(release).split("train"))}
+    facts = {"world_model": config.world_model, "updates": 6, "frames": len(open_release(release).split("train"))}
+    assert facts.items() <= record.facts.items()
 
 
 def test_mean_picture_is_that_of_the_training_frames(release: Path, tmp_path: Path) -> None:
@@ -71,10 +85,15 @@ def test_large_releases_give_the_same_without_decoding_all(
     assert artefacts.digest(first.path) == artefacts.digest(second.path)
 
 
+@pytest.mark.parametrize(
+    "config",
+    [pytest.param(one, marks=pytest.mark.slow if one.world_model != "icm" else ()) for one in MODELS],
+    ids=[one.world_model for one in MODELS],
+)
 def test_killed_and_resumed_is_as_if_never_killed(
-    release: Path, tmp_path: Path, kill_when: Callable[[str, Path], None]
+    config: EncoderTrainConfig, release: Path, tmp_path: Path, kill_when: Callable[[str, Path], None]
 ) -> None:
-    config = msgspec.structs.replace(TINY, updates=150, report_every=10)
+    config = msgspec.structs.replace(config, updates=60, report_every=10)
     whole = train_encoder(config, release, tmp_path / "whole").path
     cut = tmp_path / "cut"
     settings = msgspec.json.encode(config).decode()
@@ -93,12 +112,13 @@ def test_no_validation_split_leaves_null(make_log: Callable[..., Path], tmp_path
     from gym_open.datasets.config import ReleaseConfig
 
     made = build_release(ReleaseConfig(val_fraction=0.0), [make_log(lengths=((9,),))], tmp_path / "r")
-    rows = curve(train_encoder(TINY, made.path, tmp_path / "e").path)
-    assert all(row[3] is None and row[4] is None for row in rows)
+    found = curve(train_encoder(TINY, made.path, tmp_path / "e").path)
+    assert found["held_out_loss"] == found["held_out_accuracy"] == [None, None]
+    assert None not in found["loss"]
 
 
-def test_too_few_frames_is_said(release: Path, tmp_path: Path) -> None:
-    with pytest.raises(ArtefactError, match=r"split 'train' has \d+ frames, expected at least batch_size = 128"):
+def test_too_few_steps_is_said(release: Path, tmp_path: Path) -> None:
+    with pytest.raises(ArtefactError, match=r"split 'train' has \d+ steps, expected at least batch_size = 128"):
         train_encoder(msgspec.structs.replace(TINY, batch_size=128), release, tmp_path / "e")
     assert not (tmp_path / "e").exists()
 
@@ -113,3 +133,10 @@ def test_a_flipped_byte_stops_it_before_any_work(release: Path, tmp_path: Path) 
     with pytest.raises(ArtefactError, match=file.name):
         train_encoder(TINY, damaged, tmp_path / "e")
     assert [item.name for item in tmp_path.iterdir()] == ["release"]
+
+
+def test_a_loss_that_is_not_finite_is_said_with_update_and_configuration(release: Path, tmp_path: Path) -> None:
+    config = msgspec.structs.replace(TINY, learning_rate=1e30, world_model="rnd", precision="fp32")
+    with pytest.raises(DivergedError, match=r"not finite in update \d.*`learning_rate`, got 1e\+30"):
+        train_encoder(config, release, tmp_path / "e")
+    assert not (tmp_path / "e").exists()
