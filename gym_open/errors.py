@@ -19,6 +19,10 @@ class ConfigError(UsageError):
     """A configuration holds an unknown, ill-typed or out-of-range value."""
 
 
+class DivergedError(GymOpenError):
+    """What a network gives is no longer finite: its weights are beyond repair."""
+
+
 class ArtefactError(GymOpenError):
     """An artefact on disk is missing, damaged, or not what was asked for."""
 

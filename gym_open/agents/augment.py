@@ -1,12 +1,11 @@
 """Random shift, the one augmentation that pixels need here (Kostrikov et al. 2021, "DrQ")."""
 
-from collections.abc import Callable
-
+import numpy as np
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
-Window = tuple[slice, slice]
-"""Rows and columns of a picture."""
+from gym_open.envs.jit import compiled
 
 
 def draw_shifts(n: int, pad: int, generator: torch.Generator) -> Tensor:
@@ -19,32 +18,77 @@ def no_shifts(n: int) -> Tensor:
     return torch.zeros(n, 2, dtype=torch.int64)
 
 
-def shift_each(
-    images: Tensor, shifts: Tensor, place: Callable[[Tensor, Window, Tensor], object], dtype: torch.dtype
-) -> Tensor:
-    """Turn pixels into numbers and move each picture by its own shift in one pass; what comes in is zero.
+def shift_each(images: Tensor, shifts: Tensor, weight: Tensor, offset: Tensor, dtype: torch.dtype) -> Tensor:
+    """Turn pixels into numbers, `weight · pixel + offset`, and move each picture by its own shift; zero comes in.
 
-    Zero is the mean picture when `place` centres the pictures, so that the edge of the mean does not move along.
+    Zero is the mean picture when that is what `offset` subtracts, so that the edge of the mean does not move along.
+    One compiled pass on a CPU, which is several times faster than PyTorch's own operations there.
 
     Args:
-        images: (B, H, W, C).
+        images: (B, H, W, C) uint8.
         shifts: (down, right) of each picture, (B, 2) int64.
-        place: writes what becomes of pixels (h, w, C) that lie in a window of their picture into a tensor (h, w, C).
-        dtype: of the result.
+        weight: of each pixel, (H, W, C) float32.
+        offset: likewise.
+        dtype: of the result, float32 or bfloat16.
 
     Returns:
         (B, C, H, W) in channels-last memory order.
     """
-    height, width = images.shape[1:3]
-    shifted = torch.zeros(images.shape, dtype=dtype)
-    for target, source, (down, right) in zip(shifted, images, shifts.tolist(), strict=True):
-        to_rows, from_rows = _overlap(down, height)
-        to_columns, from_columns = _overlap(right, width)
-        window = from_rows, from_columns
-        place(source[window], window, target[to_rows, to_columns])
-    return shifted.permute(0, 3, 1, 2)
+    if images.is_cuda:
+        return _shift_each_cuda(images, shifts, weight, offset).to(dtype)
+    shape, low = images.shape, dtype == torch.bfloat16
+    out = torch.empty(shape, dtype=dtype)
+    bits = out.view(torch.uint16).numpy() if low else out.view(torch.uint32).numpy()
+    rows = shape[2] * shape[3]
+    _place(
+        images.contiguous().numpy().reshape(shape[0], shape[1], rows), shifts.numpy(),
+        weight.expand(shape[1:]).reshape(shape[1], rows).numpy(), offset.reshape(shape[1], rows).contiguous().numpy(),
+        shape[3], bits.reshape(shape[0], shape[1], rows), low,
+    )  # fmt: skip
+    return out.permute(0, 3, 1, 2)
 
 
-def _overlap(shift: int, size: int) -> tuple[slice, slice]:
-    """Where pixels land, and where they come from, when an axis of `size` moves by `shift`."""
-    return slice(max(shift, 0), size + min(shift, 0)), slice(max(-shift, 0), size + min(-shift, 0))
+@compiled
+def _place(  # noqa: PLR0917  # compiled code takes arguments by position
+    images: np.ndarray,
+    shifts: np.ndarray,
+    weight: np.ndarray,
+    offset: np.ndarray,
+    channels: int,
+    out: np.ndarray,
+    low: bool,
+) -> None:
+    """`shift_each` on rows (…, H, W · C); `out` takes the bits of float32, or of bfloat16 if `low`."""
+    n, height, width = images.shape
+    line = np.zeros(width, np.float32)
+    bits = line.view(np.uint32)
+    for i in range(n):
+        down, right = shifts[i, 0], shifts[i, 1] * channels
+        first, last = max(right, 0), width + min(right, 0)
+        for row in range(height):
+            source = row - down
+            line[:] = 0
+            if 0 <= source < height:
+                for k in range(first, last):
+                    line[k] = weight[source, k - right] * images[i, source, k - right] + offset[source, k - right]
+            if low:  # rounded to even, as PyTorch does
+                for k in range(width):
+                    out[i, row, k] = (bits[k] + np.uint32(0x7FFF) + ((bits[k] >> np.uint32(16)) & np.uint32(1))) >> (
+                        np.uint32(16)
+                    )
+            else:
+                for k in range(width):
+                    out[i, row, k] = bits[k]
+
+
+def _shift_each_cuda(images: Tensor, shifts: Tensor, weight: Tensor, offset: Tensor) -> Tensor:
+    """`shift_each` in PyTorch's operations: pictures within a margin of zeros are looked at through moved windows."""
+    n, height, width, channels = images.shape
+    pad = int(shifts.abs().max()) if n else 0
+    numbers = torch.addcmul(offset, images.float(), weight)
+    margin = F.pad(numbers, (0, 0, pad, pad, pad, pad))
+    moved = pad - shifts.to(images.device)
+    rows = moved[:, :1] + torch.arange(height, device=images.device)
+    columns = moved[:, 1:] + torch.arange(width, device=images.device)
+    every = torch.arange(n, device=images.device)[:, None, None]
+    return margin[every, rows[:, :, None], columns[:, None, :]].view(n, height, width, channels).permute(0, 3, 1, 2)

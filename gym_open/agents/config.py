@@ -5,17 +5,24 @@ from typing import Literal
 from gym_open.config import Config, Count, Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
 
 Precision = Literal["fp32", "bf16"]
+Device = Literal["cpu", "cuda"]
+Architecture = Literal["cnn", "impala", "state"]
 WorldModelName = Literal["none", "icm", "rnd", "curl"]
 RewardName = Literal["none", "error", "ride"]
 
 
 class EncoderConfig(Config, frozen=True, kw_only=True):
-    """The three-layer CNN of the paper (Mnih et al. 2015), from an 84×84 picture to features."""
+    """From an 84×84 picture to features."""
 
+    architecture: Architecture = "cnn"
+    """`cnn` is the paper's three-layer network (Mnih et al. 2015), `impala` the deeper one of Espeholt et al. 2018.
+    `state` looks at no picture: a policy is told where everything is, which shows what seeing costs."""
     features: PositiveInt = 512
     """Width of the last layer."""
     pixel_scale: PositiveFloat = 20.0
     """Pixels, less the mean picture, are multiplied by this over 255: objects are only four pixels wide."""
+    centre: bool = True
+    """Subtract the mean picture."""
 
 
 class IcmConfig(Config, frozen=True, kw_only=True):
@@ -127,6 +134,8 @@ class ExplorerConfig(Config, frozen=True, kw_only=True):
                 f"`reward` {self.reward!r} needs a world model, got `world_model` 'none'; choose icm, rnd or curl, or "
                 "give `reward` 'none'"
             )
+        if self.encoder.architecture == "state":
+            raise ValueError("`encoder.architecture` 'state' is for policies on a task; explorers look at pictures")
         if self.ppo.anneal_lr:
             raise ValueError(
                 "`ppo.anneal_lr` needs to know where a run ends, and exploration may end before its budget is spent: "

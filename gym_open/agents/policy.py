@@ -4,32 +4,76 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from gym_open.agents.config import EncoderConfig
 from gym_open.agents.encoder import Encoder, init_layer
+from gym_open.agents.state import StateEncoder
+from gym_open.errors import DivergedError
+
+
+def make_encoder(config: EncoderConfig, generator: torch.Generator) -> Encoder | StateEncoder:
+    """The untrained encoder that the configuration names."""
+    kind = StateEncoder if config.architecture == "state" else Encoder
+    return kind(config, generator)
 
 
 class ActorCritic(nn.Module):
-    """An encoder with a linear policy head (gain 0.01) and a linear value head (gain 1), as in CleanRL's `Agent`."""
+    """An encoder with a linear policy head (gain 0.01) and a linear value head (gain 1), as in CleanRL's `Agent`.
 
-    def __init__(self, encoder: Encoder, n_actions: int, generator: torch.Generator) -> None:
+    A frozen encoder does not learn, and what it makes of a picture never changes: `observe` then gives features, made
+    once, in place of pictures.
+
+    Args:
+        encoder: of pictures, or of states.
+        n_actions: width of the policy head.
+        generator: source of the heads' weights.
+        frozen: whether the encoder stays as it is.
+    """
+
+    def __init__(
+        self, encoder: Encoder | StateEncoder, n_actions: int, generator: torch.Generator, *, frozen: bool = False
+    ) -> None:
         super().__init__()
         self.n_actions = n_actions
-        self.encoder = encoder
+        self.frozen = frozen
+        self.encoder = encoder.requires_grad_(not frozen)
         self.actor = nn.Linear(encoder.config.features, n_actions)
         self.critic = nn.Linear(encoder.config.features, 1)
         init_layer(self.actor, generator, std=0.01)
         init_layer(self.critic, generator, std=1.0)
 
+    @property
+    def obs_shape(self) -> tuple[int, ...]:
+        """Shape of one of the observations that `observe` gives."""
+        return (self.encoder.config.features,) if self.frozen else self.encoder.shape
+
+    @property
+    def obs_dtype(self) -> torch.dtype:
+        """Type of the observations that `observe` gives."""
+        return torch.float32 if self.frozen else self.encoder.dtype
+
+    def observe(self, seen: Tensor) -> Tensor:
+        """What a rollout keeps of B pictures or states: themselves, or the features of a frozen encoder."""
+        return self.encoder(self.encoder.prepare(seen)).float() if self.frozen else seen
+
+    def prepare(self, obs: Tensor) -> Tensor:
+        """What `forward` takes, of what `observe` gave."""
+        return obs if self.frozen else self.encoder.prepare(obs)
+
+    def prepare_shifted(self, obs: Tensor, shifts: Tensor) -> Tensor:
+        """The same with each picture moved by its shift, (B, 2) int64; features and states stay as they are."""
+        return obs if self.frozen else self.encoder.prepare_shifted(obs, shifts)
+
     def forward(self, prepared: Tensor) -> tuple[Tensor, Tensor]:
-        """Action logits (B, n_actions) and values (B,), fp32, of prepared pictures (B, 3, 84, 84)."""
-        return self.heads(self.encoder(prepared))
+        """Action logits (B, n_actions) and values (B,), fp32, of B prepared observations."""
+        return self.heads(prepared if self.frozen else self.encoder(prepared))
 
     def heads(self, features: Tensor) -> tuple[Tensor, Tensor]:
         """Action logits (B, n_actions) and values (B,), fp32, of the encoder's features (B, features)."""
         return self.actor(features).float(), self.critic(features).float().flatten()
 
     def get_value(self, prepared: Tensor) -> Tensor:
-        """Values (B,) of prepared pictures (B, 3, 84, 84)."""
-        return self.critic(self.encoder(prepared)).float().flatten()
+        """Values (B,) of B prepared observations."""
+        return self(prepared)[1]
 
     def get_action_and_value(
         self, prepared: Tensor, action: Tensor | None = None, generator: torch.Generator | None = None
@@ -37,15 +81,16 @@ class ActorCritic(nn.Module):
         """Sample actions, or look at given ones.
 
         Args:
-            prepared: pictures, (B, 3, 84, 84).
+            prepared: what `prepare` gave, of B observations.
             action: (B,) int64; sampled if None.
-            generator: source of the samples; needed if `action` is None.
+            generator: source of the samples, on the CPU; needed if `action` is None.
 
         Returns:
             Action, its log-probability, the policy's entropy in nats, and the value, each (B,).
 
         Raises:
             ValueError: if neither an action nor a generator is given.
+            DivergedError: if actions are to be sampled and their probabilities are not finite.
         """
         logits, value = self(prepared)
         logprobs = F.log_softmax(logits, dim=1)
@@ -53,6 +98,8 @@ class ActorCritic(nn.Module):
         if action is None:
             if generator is None:
                 raise ValueError("generator must be given to sample actions, got None")
-            action = torch.multinomial(probs, 1, generator=generator).flatten()
+            if not probs.isfinite().all():
+                raise DivergedError("the policy's probabilities are not finite")
+            action = torch.multinomial(probs.cpu(), 1, generator=generator).flatten().to(logits.device)
         entropy = -(probs * logprobs).sum(dim=1)
         return action, logprobs.gather(1, action[:, None]).flatten(), entropy, value

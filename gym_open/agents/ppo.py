@@ -13,6 +13,7 @@ from gym_open.agents.augment import draw_shifts
 from gym_open.agents.config import PPOConfig
 from gym_open.agents.encoder import autocast
 from gym_open.agents.policy import ActorCritic
+from gym_open.errors import DivergedError
 
 
 @dataclass(frozen=True)
@@ -20,7 +21,7 @@ class Rollout:
     """T steps of N environments, time first.
 
     Attributes:
-        obs: what the policy saw before each action, (T, N, 84, 84, 3) uint8.
+        obs: what the policy saw before each action, (T, N, …): pictures (84, 84, 3) uint8, features, or states.
         actions: (T, N) int64.
         logprobs: log-probability of each action when it was taken, (T, N).
         rewards: (T, N).
@@ -41,18 +42,20 @@ class Rollout:
     truncations: Tensor
 
     @classmethod
-    def empty(cls, n_steps: int, n_envs: int, image_shape: tuple[int, ...]) -> "Rollout":
+    def empty(
+        cls, n_steps: int, n_envs: int, obs_shape: tuple[int, ...], obs_dtype: torch.dtype, device: str = "cpu"
+    ) -> "Rollout":
         """Room for `n_steps` of `n_envs` environments, all zero."""
         shape = (n_steps, n_envs)
         return cls(
-            obs=torch.zeros(*shape, *image_shape, dtype=torch.uint8),
-            actions=torch.zeros(shape, dtype=torch.int64),
-            logprobs=torch.zeros(shape),
-            rewards=torch.zeros(shape),
-            values=torch.zeros(shape),
-            next_values=torch.zeros(shape),
-            terminations=torch.zeros(shape, dtype=torch.bool),
-            truncations=torch.zeros(shape, dtype=torch.bool),
+            obs=torch.zeros(*shape, *obs_shape, dtype=obs_dtype, device=device),
+            actions=torch.zeros(shape, dtype=torch.int64, device=device),
+            logprobs=torch.zeros(shape, device=device),
+            rewards=torch.zeros(shape, device=device),
+            values=torch.zeros(shape, device=device),
+            next_values=torch.zeros(shape, device=device),
+            terminations=torch.zeros(shape, dtype=torch.bool, device=device),
+            truncations=torch.zeros(shape, dtype=torch.bool, device=device),
         )
 
 
@@ -123,21 +126,25 @@ def ppo_update(
         optimizer: over at least the agent's parameters; its learning rate is used as it stands.
         rollout: T steps of N environments that `agent` made.
         config: coefficients; `anneal_lr` is the caller's to apply.
-        generator: source of the shuffles and shifts.
+        generator: source of the shuffles and shifts, on the CPU.
+
+    Raises:
+        DivergedError: if the loss is not finite.
     """
+    device = rollout.rewards.device
     advantages = gae(rollout, config.gamma, config.gae_lambda)
     returns = (advantages + rollout.values).flatten()
     b_obs = rollout.obs.flatten(0, 1)
     b_actions, b_logprobs, b_values = rollout.actions.flatten(), rollout.logprobs.flatten(), rollout.values.flatten()
     b_advantages = advantages.flatten()
 
-    sums, n_minibatches = torch.zeros(5), 0
+    sums, n_minibatches = torch.zeros(5, device=device), 0
     for _epoch in range(config.update_epochs):
         approx_kl = torch.zeros(())
-        for mb_inds in torch.randperm(len(b_obs), generator=generator).split(config.minibatch_size):
-            with autocast(config.precision):
+        for mb_inds in torch.randperm(len(b_obs), generator=generator).to(device).split(config.minibatch_size):
+            with autocast(config.precision, device.type):
                 shifts = draw_shifts(len(mb_inds), config.shift_pad, generator)
-                prepared = agent.encoder.prepare_shifted(b_obs.index_select(0, mb_inds), shifts)
+                prepared = agent.prepare_shifted(b_obs.index_select(0, mb_inds), shifts)
                 _, newlogprob, entropy, newvalue = agent.get_action_and_value(prepared, b_actions[mb_inds])
             logratio = newlogprob - b_logprobs[mb_inds]
             mb_advantages = b_advantages[mb_inds]
@@ -149,6 +156,8 @@ def ppo_update(
             v_loss = value_loss(newvalue, b_values[mb_inds], returns[mb_inds], clip)
             entropy_loss = entropy.mean()
             loss = pg_loss - config.ent_coef * entropy_loss + config.vf_coef * v_loss
+            if not loss.isfinite():
+                raise DivergedError("PPO's loss is not finite")
 
             optimizer.zero_grad()
             loss.backward()

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from gym_open import artefacts, progress
-from gym_open.agents.explorer import Acted, DivergedError, Explorer, Learned
+from gym_open.agents.explorer import Acted, Explorer, Learned
 from gym_open.collect import checkpoint
 from gym_open.collect.config import CollectConfig
 from gym_open.collect.curriculum import RULES, Situation, smoothed
@@ -26,7 +26,7 @@ from gym_open.collect.summary import Record, SegmentRecord, summarise
 from gym_open.config import to_dict
 from gym_open.envs.constants import IMAGE_SIZE, N_ACTIONS
 from gym_open.envs.physics.model import model_xml
-from gym_open.errors import ConfigError
+from gym_open.errors import ConfigError, DivergedError
 from gym_open.formats.logs import LogHead, LogWriter, Switch
 from gym_open.formats.logs.resume import resume_writer
 from gym_open.formats.logs.schemas import Ended
@@ -81,6 +81,7 @@ def _work(config: CollectConfig, folder: Path) -> Mapping[str, Any]:
     return {
         "task": "sandbox",
         "extrinsic_reward": False,
+        "explorer": config.explorer.name,
         "puzzles": sorted(puzzle.digest for puzzle in exploration.pool.puzzles),
         "steps": exploration.record.steps,
     }

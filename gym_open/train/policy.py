@@ -8,13 +8,14 @@ import numpy as np
 import torch
 
 from gym_open import artefacts, progress, seeding
-from gym_open.agents.encoder import IMAGE_SHAPE, Encoder, autocast
-from gym_open.agents.policy import ActorCritic
+from gym_open.agents.encoder import Encoder, autocast
+from gym_open.agents.policy import ActorCritic, make_encoder
 from gym_open.agents.ppo import PPOStats, Rollout, ppo_update
+from gym_open.agents.state import StateEncoder
 from gym_open.config import to_dict
 from gym_open.envs.constants import N_ACTIONS
 from gym_open.envs.env import OpenEnv
-from gym_open.errors import ArtefactError
+from gym_open.errors import ArtefactError, ConfigError, DivergedError
 from gym_open.formats.checkpoints import (
     load_checkpoint,
     load_optimizer,
@@ -26,13 +27,17 @@ from gym_open.formats.checkpoints import (
 from gym_open.formats.models import (
     ARCHITECTURE,
     EncoderArchitecture,
+    encoder_folder,
     load_encoder,
+    policy_folder,
     read_architecture,
     save_policy,
 )
+from gym_open.hardware import hardware
 from gym_open.train.config import PolicyTrainConfig
 from gym_open.train.curve import Row, clean, save_curve
 from gym_open.train.tables import Episode, Tables
+from gym_open.train.tensorboard import Board
 
 COLUMNS = (
     "step", "episodes", "mean_return", "success", "mean_length", "entropy", "approx_kl", "clip_fraction",
@@ -41,44 +46,83 @@ COLUMNS = (
 """Of curve.json, a row an update: means over the episodes that ended in its rollout (null if none did), then PPO's."""
 
 
-def train_policy(config: PolicyTrainConfig, encoder: Path | None, out: Path) -> artefacts.Outcome:
+def train_policy(
+    config: PolicyTrainConfig, encoder: Path | None, out: Path, *, tensorboard: Path | None = None
+) -> artefacts.Outcome:
     """Train a policy with PPO on puzzles drawn from the training distribution of `config.task`.
 
-    Payload: `model.safetensors` and `model.json` (encoder, policy head, value head) and `curve.json`.
-    Killed, it goes on from the last finished update.
+    Payload: `model.safetensors` and `model.json` (encoder, policy head, value head), `curve.json`, and the policy as it
+    was at each of `config.checkpoints`, in `checkpoints/<step>/`. Killed, it goes on from the last finished update.
 
     Args:
         config: task, length, learner, seed.
-        encoder: an encoder artefact to start from, or None to start from scratch.
+        encoder: what to start from: an encoder artefact, or a log whose explorer's own encoder is taken; None to start
+            from scratch.
         out: folder of the policy.
+        tensorboard: folder for TensorBoard's event files, which are no part of the artefact.
 
     Raises:
         ArtefactError: if the encoder is damaged, or is another network than `config.encoder`; nothing was started then.
+        ConfigError: if a frozen encoder is asked for, and there is none.
+        DivergedError: if the loss is no longer finite.
     """
     if encoder is not None:
         check_architecture(config, encoder)
+    elif config.frozen:
+        raise ConfigError("frozen: true, but there is no encoder to leave as it is; give --encoder, or false")
 
     def work(partial: Path) -> Mapping[str, Any]:
         torch.set_num_threads(config.threads)
-        trainer = _Trainer(config, encoder, partial / artefacts.SCRATCH / "state.safetensors")
+        trainer = _Trainer(config, encoder, partial)
         trainer.resume()
-        trainer.run()
+        trainer.run(tensorboard)
         save_policy(partial, trainer.agent)
         save_curve(partial, COLUMNS, trainer.rows)
-        return {"task": config.task, "steps": trainer.step, "from_encoder": encoder is not None}
+        return _facts(config, encoder, trainer)
 
     parents = [] if encoder is None else [encoder]
     return artefacts.build(out, kind="policy", config=config, parents=parents, work=work)
 
 
+def _facts(config: PolicyTrainConfig, encoder: Path | None, trainer: "_Trainer") -> Mapping[str, Any]:
+    kinds = {None: "none", "encoder": "offline", "log": "online"}
+    lineage = None if encoder is None else artefacts.lineage(encoder)
+    return {
+        "task": config.task,
+        "steps": trainer.step,
+        "checkpoints": trainer.checkpoints,
+        "agent": config.agent or _name(lineage),
+        "encoder": kinds[None if lineage is None else lineage.kind],
+        "frozen": config.frozen,
+        "seed": config.seed,
+        "from_encoder": encoder is not None,
+        "hardware": hardware(config.threads, config.device),
+    }
+
+
+def _name(lineage: artefacts.Lineage | None) -> str:
+    """What an agent is called that was not given a name: its explorers, or how it began."""
+    explorers = set() if lineage is None else _explorers(lineage)
+    return " & ".join(sorted(explorers)) or ("scratch" if lineage is None else "unknown play")
+
+
+def _explorers(lineage: artefacts.Lineage) -> set[str]:
+    own = {str(lineage.facts["explorer"])} if lineage.kind == "log" and "explorer" in lineage.facts else set()
+    return own.union(*(_explorers(parent.lineage) for parent in lineage.parents))
+
+
 def check_architecture(config: PolicyTrainConfig, encoder: Path) -> None:
-    """Raise ArtefactError unless the artefact `encoder` is the network that the configuration asks for."""
-    artefacts.verify(encoder, "encoder")
-    found = to_dict(read_architecture(encoder, EncoderArchitecture).encoder)
+    """Raise ArtefactError unless `encoder` holds the network that the configuration asks for."""
+    kind = artefacts.lineage(encoder).kind
+    if kind not in {"encoder", "log"}:
+        raise ArtefactError(f"{encoder}: a {kind}; give an encoder, or a log whose explorer learned one")
+    artefacts.verify(encoder, kind)
+    folder = encoder_folder(encoder)
+    found = to_dict(read_architecture(folder, EncoderArchitecture).encoder)
     for name, expected in to_dict(config.encoder).items():
         if found[name] != expected:
             raise ArtefactError(
-                f"{encoder / ARCHITECTURE}: `encoder.{name}` is {found[name]}, but the policy's configuration says "
+                f"{folder / ARCHITECTURE}: `encoder.{name}` is {found[name]}, but the policy's configuration says "
                 f"{expected}; set `encoder.{name}` to match, or give another encoder"
             )
     load_encoder(encoder)  # every tensor has the shape that its architecture says
@@ -95,25 +139,32 @@ def first_pictures(config: PolicyTrainConfig) -> torch.Tensor:
 class _Trainer:
     """The state of one run: everything that a checkpoint holds."""
 
-    def __init__(self, config: PolicyTrainConfig, encoder: Path | None, checkpoint: Path) -> None:
+    def __init__(self, config: PolicyTrainConfig, encoder: Path | None, folder: Path) -> None:
         self.config = config
-        self.checkpoint = checkpoint
-        self.agent = ActorCritic(self._encoder(encoder), N_ACTIONS, self._torch_generator("heads"))
-        self.optimizer = torch.optim.Adam(self.agent.parameters(), lr=config.ppo.learning_rate, eps=1e-5)
+        self.folder = folder
+        self.saved = folder / artefacts.SCRATCH / "state.safetensors"
+        network = self._encoder(encoder)
+        self.agent = ActorCritic(network, N_ACTIONS, self._torch_generator("heads"), frozen=config.frozen)
+        self.agent.to(config.device)
+        learned = [parameter for parameter in self.agent.parameters() if parameter.requires_grad]
+        self.optimizer = torch.optim.Adam(learned, lr=config.ppo.learning_rate, eps=1e-5, fused=True)
         self.acting, self.updating = self._torch_generator("actions"), self._torch_generator("update")
-        self.tables = Tables(config.task, config.num_envs, config.seed)
+        states = isinstance(network, StateEncoder)
+        self.tables = Tables(config.task, config.num_envs, config.seed, states=states, threads=config.threads)
         self.rows: list[Row] = []
+        self.checkpoints: list[dict[str, int]] = []
         self.batch_size = config.num_envs * config.num_steps
         self.num_updates = -(-config.steps // self.batch_size)
 
     def _torch_generator(self, name: str) -> torch.Generator:
         return torch.Generator().manual_seed(seeding.integer(self.config.seed, "policy", name))
 
-    def _encoder(self, artefact: Path | None) -> Encoder:
+    def _encoder(self, artefact: Path | None) -> Encoder | StateEncoder:
         if artefact is not None:
             return load_encoder(artefact)
-        encoder = Encoder(self.config.encoder, self._torch_generator("encoder"))
-        encoder.set_mean_image(first_pictures(self.config))
+        encoder = make_encoder(self.config.encoder, self._torch_generator("encoder"))
+        if isinstance(encoder, Encoder) and self.config.encoder.centre:
+            encoder.set_mean_image(first_pictures(self.config))
         return encoder
 
     @property
@@ -121,49 +172,63 @@ class _Trainer:
         """Agent steps so far, over all environments."""
         return len(self.rows) * self.batch_size
 
-    def run(self) -> None:
-        """Train to the last update, with a checkpoint after each."""
-        ppo = self.config.ppo
+    def run(self, tensorboard: Path | None) -> None:
+        """Train to the last update, and save after each.
+
+        Raises:
+            DivergedError: naming the update and what to change.
+        """
+        ppo, board = self.config.ppo, Board(tensorboard)
         with progress.bar("train policy", self.num_updates * self.batch_size, done=self.step) as bar:
             while len(self.rows) < self.num_updates:
                 frac = 1.0 - len(self.rows) / self.num_updates if ppo.anneal_lr else 1.0
                 self.optimizer.param_groups[0]["lr"] = frac * ppo.learning_rate
-                rollout, episodes = self.collect(bar)
-                stats = ppo_update(self.agent, self.optimizer, rollout, ppo, self.updating)
+                try:
+                    rollout, episodes = self.collect(bar)
+                    stats = ppo_update(self.agent, self.optimizer, rollout, ppo, self.updating)
+                except DivergedError as error:
+                    raise DivergedError(
+                        f"train policy: update {len(self.rows) + 1} of {self.num_updates}: {error}; make "
+                        f"`ppo.learning_rate` (now {ppo.learning_rate:g}) smaller, or set `ppo.precision` to fp32"
+                    ) from None
                 self.rows.append(self.row(episodes, stats))
                 self.save()
+                board.row(self.step, dict(zip(COLUMNS, self.rows[-1], strict=True)))
                 bar.advance(0, note=f"return {_mean([e.total for e in episodes]):.2f} entropy {stats.entropy:.2f}")
+        board.close()
 
     @torch.no_grad()
     def collect(self, bar: progress.Bar) -> tuple[Rollout, list[Episode]]:
         """Act for `num_steps` in every environment."""
-        config, agent, tables = self.config, self.agent, self.tables
-        rollout = Rollout.empty(config.num_steps, config.num_envs, IMAGE_SHAPE)
-        last_images: dict[tuple[int, int], np.ndarray] = {}
+        config, agent, tables, device = self.config, self.agent, self.tables, self.config.device
+        rollout = Rollout.empty(config.num_steps, config.num_envs, agent.obs_shape, agent.obs_dtype, device)
+        last_seen: dict[tuple[int, int], np.ndarray] = {}
         episodes: list[Episode] = []
-        with autocast(config.ppo.precision):
+        with autocast(config.ppo.precision, device):
             for t in range(config.num_steps):
-                rollout.obs[t] = torch.from_numpy(tables.images)
+                rollout.obs[t] = agent.observe(torch.from_numpy(tables.seen).to(device))
                 action, logprob, _, value = agent.get_action_and_value(
-                    agent.encoder.prepare(rollout.obs[t]), generator=self.acting
+                    agent.prepare(rollout.obs[t]), generator=self.acting
                 )
                 rollout.actions[t], rollout.logprobs[t], rollout.values[t] = action, logprob, value
-                after = tables.step(action.numpy())
+                after = tables.step(action.cpu().numpy())
                 rollout.rewards[t] = torch.from_numpy(after.rewards)
                 rollout.terminations[t] = torch.from_numpy(after.terminations)
                 rollout.truncations[t] = torch.from_numpy(after.truncations)
-                last_images.update({(t, env): image for env, image in after.last_images.items()})
+                last_seen.update({(t, env): seen for env, seen in after.last_seen.items()})
                 episodes += after.episodes
                 bar.advance(config.num_envs)
             rollout.next_values[:-1] = rollout.values[1:]
-            rollout.next_values[-1] = self._values(tables.images)
-            if last_images:  # a truncated episode is worth what its own last picture promises
-                times, envs = (list(index) for index in zip(*last_images, strict=True))
-                rollout.next_values[times, envs] = self._values(np.stack(list(last_images.values())))
+            rollout.next_values[-1] = self._values(tables.seen)
+            if last_seen:  # a truncated episode is worth what its own last observation promises
+                times, envs = (list(index) for index in zip(*last_seen, strict=True))
+                rollout.next_values[times, envs] = self._values(np.stack(list(last_seen.values())))
         return rollout, episodes
 
-    def _values(self, images: np.ndarray) -> torch.Tensor:
-        return self.agent.get_value(self.agent.encoder.prepare(torch.from_numpy(images)))
+    def _values(self, seen: np.ndarray) -> torch.Tensor:
+        return self.agent.get_value(
+            self.agent.prepare(self.agent.observe(torch.from_numpy(seen).to(self.config.device)))
+        )
 
     def row(self, episodes: list[Episode], stats: PPOStats) -> Row:
         """The row of curve.json for the update that was just made."""
@@ -177,25 +242,30 @@ class _Trainer:
         )  # fmt: skip
 
     def save(self) -> None:
-        """Write the checkpoint."""
+        """Keep the policy if a checkpoint was asked for here, and write what a resumed run goes on from."""
+        for asked in self.config.checkpoints:
+            if self.step - self.batch_size < asked <= self.step:
+                self.checkpoints.append({"asked": asked, "step": self.step})
+                save_policy(policy_folder(self.folder, self.step), self.agent)
         tensors = {
             **prefixed("agent", self.agent.state_dict()),
             **prefixed("optimizer", optimizer_tensors(self.optimizer)),
             "acting": self.acting.get_state(),
             "updating": self.updating.get_state(),
         }
-        save_checkpoint(self.checkpoint, tensors, {"rows": self.rows, "tables": self.tables.state()})
+        meta = {"rows": self.rows, "checkpoints": self.checkpoints, "tables": self.tables.state()}
+        save_checkpoint(self.saved, tensors, meta)
 
     def resume(self) -> None:
         """Go on from the checkpoint if there is one."""
-        if not self.checkpoint.exists():
+        if not self.saved.exists():
             return
-        tensors, meta = load_checkpoint(self.checkpoint)
+        tensors, meta = load_checkpoint(self.saved)
         self.agent.load_state_dict(without_prefix("agent", tensors))
         load_optimizer(self.optimizer, without_prefix("optimizer", tensors))
         self.acting.set_state(tensors["acting"])
         self.updating.set_state(tensors["updating"])
-        self.rows = meta["rows"]
+        self.rows, self.checkpoints = meta["rows"], meta["checkpoints"]
         self.tables.restore(meta["tables"])
 
 

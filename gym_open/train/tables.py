@@ -5,11 +5,13 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from gymnasium.vector import AutoresetMode
 
 from gym_open import seeding
-from gym_open.envs.constants import IMAGE_SIZE
-from gym_open.envs.env import EnvSnapshot, OpenEnv
+from gym_open.envs.env import EnvSnapshot
 from gym_open.envs.puzzles import Task
+from gym_open.envs.state import STATE_SIZE, state_vector
+from gym_open.envs.vector import OpenVectorEnv
 
 
 @dataclass(frozen=True)
@@ -19,7 +21,7 @@ class Episode:
     total: float
     length: int
     success: bool
-    """It ended because its task was done: it terminated with more reward than nothing."""
+    """It ended because its task was done."""
 
 
 @dataclass(frozen=True)
@@ -29,55 +31,68 @@ class Transitions:
     rewards: np.ndarray
     terminations: np.ndarray
     truncations: np.ndarray
-    last_images: dict[int, np.ndarray]
-    """Last picture of each episode that was truncated, by environment."""
+    last_seen: dict[int, np.ndarray]
+    """Last observation of each episode that was truncated, by environment."""
     episodes: list[Episode]
     """Episodes that ended."""
 
 
 class Tables:
-    """N environments of one task, stepped in a loop; puzzles come from the training distribution.
+    """N environments of one task in an `OpenVectorEnv`; puzzles come from the training distribution.
 
-    Like gymnasium's `SyncVectorEnv` with `SAME_STEP` autoreset, without its copies, and with snapshots.
+    Args:
+        task: what is asked for.
+        num_envs: N.
+        seed: root of the puzzles that are drawn.
+        states: see the state of the simulation, not pictures.
+        threads: that step the environments.
 
     Attributes:
-        images: what the next actions will be taken on, (N, 84, 84, 3) uint8.
+        seen: what the next actions will be taken on, (N, 84, 84, 3) uint8 or (N, `STATE_SIZE`) float32.
     """
 
-    def __init__(self, task: Task, num_envs: int, seed: int) -> None:
-        self.envs = [OpenEnv(task) for _ in range(num_envs)]
-        self.images = np.empty((num_envs, IMAGE_SIZE, IMAGE_SIZE, 3), dtype=np.uint8)
+    def __init__(self, task: Task, num_envs: int, seed: int, *, states: bool = False, threads: int = 1) -> None:
+        self._venv = OpenVectorEnv(num_envs, task, autoreset_mode=AutoresetMode.DISABLED, copy=False, threads=threads)
+        self._states = np.empty((num_envs, STATE_SIZE), np.float32) if states else None
         self.totals, self.lengths = np.zeros(num_envs), np.zeros(num_envs, dtype=np.int64)
-        for i, env in enumerate(self.envs):
-            self.images[i], _ = env.reset(seed=seeding.integer(seed, "policy", "env", i))
+        self._images, _ = self._venv.reset(seed=[seeding.integer(seed, "policy", "env", i) for i in range(num_envs)])
+        self.seen = self._look()
 
     def step(self, actions: np.ndarray) -> Transitions:
-        """Act once in every environment, (N,) int; where an episode ends, `images` is the first of the next one."""
-        n = len(self.envs)
-        rewards, terminations, truncations = np.zeros(n, np.float32), np.zeros(n, bool), np.zeros(n, bool)
-        last_images, episodes = {}, []
-        for i, (env, action) in enumerate(zip(self.envs, actions.tolist(), strict=True)):
-            image, reward, terminations[i], truncations[i], _ = env.step(action)
-            rewards[i] = reward
-            self.totals[i] += float(reward)
-            self.lengths[i] += 1
-            if terminations[i] or truncations[i]:
-                success = bool(terminations[i]) and self.totals[i] > 0
-                episodes.append(Episode(float(self.totals[i]), int(self.lengths[i]), success))
-                self.totals[i], self.lengths[i] = 0, 0
+        """Act once in every environment, (N,) int; where an episode ends, `seen` is the first of the next one."""
+        _, rewards, terminations, truncations, infos = self._venv.step(actions)
+        after = Transitions(rewards.astype(np.float32), terminations.copy(), truncations.copy(), {}, [])
+        self.totals += rewards
+        self.lengths += 1
+        ended = terminations | truncations
+        if ended.any():
+            last = self._look()
+            for i in ended.nonzero()[0].tolist():
+                success = bool(terminations[i] and not infos["in_danger"][i])
+                after.episodes.append(Episode(float(self.totals[i]), int(self.lengths[i]), success))
                 if truncations[i]:
-                    last_images[i] = image.copy()
-                image, _ = env.reset()
-            self.images[i] = image
-        return Transitions(rewards, terminations, truncations, last_images, episodes)
+                    after.last_seen[i] = last[i].copy()
+            self.totals[ended], self.lengths[ended] = 0, 0
+            self._venv.reset(options={"reset_mask": ended})
+        self.seen = self._look()
+        return after
 
     def state(self) -> dict[str, Any]:
         """Everything that going on needs, JSON-ready."""
-        snapshots = [msgspec.to_builtins(env.snapshot()) for env in self.envs]
+        snapshots = [msgspec.to_builtins(env.snapshot()) for env in self._venv.envs]
         return {"envs": snapshots, "totals": self.totals.tolist(), "lengths": self.lengths.tolist()}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from what `state` gave, bit for bit."""
-        for i, (env, snapshot) in enumerate(zip(self.envs, state["envs"], strict=True)):
-            self.images[i] = env.restore(msgspec.convert(snapshot, EnvSnapshot))
+        for i, (env, snapshot) in enumerate(zip(self._venv.envs, state["envs"], strict=True)):
+            self._images[i] = env.restore(msgspec.convert(snapshot, EnvSnapshot))
         self.totals[:], self.lengths[:] = state["totals"], state["lengths"]
+        self.seen = self._look()
+
+    def _look(self) -> np.ndarray:
+        """What there is to see; the same array is written again at the next step."""
+        if self._states is None:
+            return self._images
+        for i, env in enumerate(self._venv.envs):
+            self._states[i] = state_vector(env.world)
+        return self._states

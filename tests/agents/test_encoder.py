@@ -6,7 +6,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gym_open.agents.augment import draw_shifts, no_shifts
+from gym_open.agents.augment import _shift_each_cuda, draw_shifts, shift_each
 from gym_open.agents.config import EncoderConfig
 from gym_open.agents.encoder import Encoder, autocast
 
@@ -109,10 +109,29 @@ def test_shifts_are_applied_to_prepared_pictures_and_zero_comes_in(seed: int, pa
     torch.testing.assert_close(low.float(), found, atol=0.05, rtol=0.01)
 
 
-def test_no_shifts_is_preparing_alone() -> None:
+def test_preparing_centres_and_scales() -> None:
     net, images = encoder(), pictures(3)
     net.set_mean_image(images[:2])
-    torch.testing.assert_close(net.prepare_shifted(images, no_shifts(3)), net.prepare(images), atol=1e-4, rtol=0)
+    plain = images.double()
+    expected = (plain - plain[:2].mean(dim=0)) * 20 / 255
+    torch.testing.assert_close(net.prepare(images).double(), expected.permute(0, 3, 1, 2), atol=1e-4, rtol=0)
+    raw = Encoder(EncoderConfig(features=8, pixel_scale=1.0, centre=False), torch.Generator().manual_seed(0))
+    raw.set_mean_image(images)
+    torch.testing.assert_close(raw.prepare(images).double(), (plain / 255).permute(0, 3, 1, 2), atol=1e-6, rtol=0)
+
+
+@given(seed=st.integers(0, 2**32), pad=st.integers(0, 12))
+@settings(max_examples=20, deadline=None)
+def test_the_compiled_shift_is_that_of_tensor_operations(seed: int, pad: int) -> None:
+    """What runs on a GPU, run here; and bf16 is rounded as PyTorch rounds."""
+    generator = torch.Generator().manual_seed(seed)
+    images = pictures(3, seed)[:, :20, :30]
+    weight, offset = torch.randn(20, 30, 3, generator=generator), torch.randn(20, 30, 3, generator=generator)
+    shifts = draw_shifts(3, pad, generator)
+    found = shift_each(images, shifts, weight, offset, torch.float32)
+    torch.testing.assert_close(found, _shift_each_cuda(images, shifts, weight, offset), atol=1e-4, rtol=1e-6)
+    low = shift_each(images, shifts, weight, offset, torch.bfloat16)
+    assert torch.equal(low, found.to(torch.bfloat16))
 
 
 def test_drawn_shifts_are_uniform_on_both_axes_and_repeatable() -> None:

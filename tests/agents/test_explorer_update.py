@@ -11,8 +11,9 @@ from torch import Tensor, nn
 from gym_open.agents.augment import no_shifts
 from gym_open.agents.config import CurlConfig, EncoderConfig, ExplorerConfig, IcmConfig, PPOConfig, WorldModelName
 from gym_open.agents.curl import Curl
-from gym_open.agents.explorer import Acted, DivergedError, Explorer
+from gym_open.agents.explorer import Acted, Explorer
 from gym_open.agents.world_model import Transitions
+from gym_open.errors import DivergedError
 
 Pictures = Callable[..., Tensor]
 T, N = 8, 2

@@ -22,7 +22,7 @@ def random_rollout(seed: int, shape: tuple[int, ...] = (1,)) -> Rollout:
     logprobs, rewards, values, next_values = numbers
     ends = rng.random((T, N))
     return replace(
-        Rollout.empty(T, N, shape), logprobs=logprobs, rewards=rewards, values=values, next_values=next_values,
+        Rollout.empty(T, N, shape, torch.uint8), logprobs=logprobs, rewards=rewards, values=values, next_values=next_values,
         terminations=torch.from_numpy(ends < 0.2), truncations=torch.from_numpy(ends > 0.8),
     )  # fmt: skip
 
@@ -48,7 +48,7 @@ def test_gae_is_its_definition(seed: int) -> None:
 
 @pytest.mark.parametrize(("ended", "expected"), [("terminations", 1.0 - 5.0), ("truncations", 1.0 + 0.9 * 10.0 - 5.0)])
 def test_only_a_truncated_step_bootstraps(ended: str, expected: float) -> None:
-    rollout = Rollout.empty(2, 1, (1,))
+    rollout = Rollout.empty(2, 1, (1,), torch.uint8)
     rollout.rewards[:], rollout.values[:], rollout.next_values[:] = 1.0, 5.0, 10.0
     getattr(rollout, ended)[0] = True
     np.testing.assert_allclose(gae(rollout, 0.9, 0.95)[0].item(), expected, rtol=1e-6)
@@ -56,7 +56,7 @@ def test_only_a_truncated_step_bootstraps(ended: str, expected: float) -> None:
 
 def test_gae_of_a_constant_reward_in_closed_form() -> None:
     """With value 0, λ = 1 and no end before T, the advantage is the discounted sum of what is left."""
-    rollout = Rollout.empty(T, 1, (1,))
+    rollout = Rollout.empty(T, 1, (1,), torch.uint8)
     rollout.rewards[:] = 1.0
     expected = [(1 - 0.9 ** (T - t)) / (1 - 0.9) for t in range(T)]
     np.testing.assert_allclose(gae(rollout, 0.9, 1.0)[:, 0].numpy(), expected, rtol=1e-5)
@@ -145,7 +145,7 @@ def squares(which: torch.Tensor) -> torch.Tensor:
 def bandit_rollout(net: ActorCritic, generator: torch.Generator, n_steps: int = 16, n_envs: int = 8) -> Rollout:
     """One-step episodes: the reward is 1 if the action names the square's corner."""
     where = torch.randint(4, (n_steps, n_envs), generator=generator)
-    rollout = Rollout.empty(n_steps, n_envs, (84, 84, 3))
+    rollout = Rollout.empty(n_steps, n_envs, (84, 84, 3), torch.uint8)
     rollout.obs[:] = squares(where)
     with torch.no_grad():
         prepared = net.encoder.prepare(rollout.obs.flatten(0, 1))

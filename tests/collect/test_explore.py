@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from gym_open import artefacts
-from gym_open.agents.explorer import DivergedError
+from gym_open.errors import DivergedError
 from gym_open.collect import stuck
 from gym_open.collect.config import CollectConfig
 from gym_open.collect.explore import collect
