@@ -19,9 +19,10 @@ STATE_SIZE: Final = 5 * len(INVENTORY) + 2 + 7 + 3
 def state_vector(world: World) -> np.ndarray:
     """Where everything is, (`STATE_SIZE`,) float32.
 
-    For each object of the model, in the inventory's order: 1 if it is there, then x, y, z in units of half a table, then
-    1 if it is a goal that was hit; for one that is not there, zeros. Then the agent's velocity (x, y) in m/s; the pen as
-    1, its place (x, y) and the side of its ramp, one of four; the danger patch as 1 and its place; zeros without.
+    For each object of the model, in the inventory's order: 1 if it is there, then x, y, z in units of half a table,
+    then 1 if it is a goal that was hit; for one that is not there, zeros. Then the agent's velocity (x, y) in m/s; the
+    pen as 1, its place (x, y) and the side of its ramp, one of four; the danger patch as 1 and its place; zeros
+    without.
     """
     n = len(INVENTORY)
     objects = np.zeros((n, 5), np.float32)

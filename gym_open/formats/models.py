@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from gym_open.agents.config import EncoderConfig
 from gym_open.agents.encoder import Encoder
-from gym_open.agents.policy import ActorCritic
+from gym_open.agents.policy import ActorCritic, make_encoder
 from gym_open.artefacts import canonical_json, write_atomically
 from gym_open.errors import ArtefactError
 from gym_open.formats.checkpoints import load_checkpoint, save_checkpoint
@@ -35,19 +35,31 @@ class PolicyArchitecture(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
 A = TypeVar("A", EncoderArchitecture, PolicyArchitecture)
 
 
+def encoder_folder(artefact: Path) -> Path:
+    """Where the encoder is that the artefact holds: an encoder itself, or in a log what the explorer's had become."""
+    own = artefact / "encoder"
+    return own if (own / ARCHITECTURE).is_file() else artefact
+
+
+def policy_folder(artefact: Path, step: int) -> Path:
+    """Where a policy artefact keeps the policy as it was after `step` steps."""
+    return artefact / "checkpoints" / f"{step:09d}"
+
+
 def save_encoder(folder: Path, encoder: Encoder) -> None:
     """Write an encoder, its mean picture included, into `folder`."""
     _save(folder, encoder, EncoderArchitecture(encoder=encoder.config))
 
 
 def load_encoder(artefact: Path) -> Encoder:
-    """Read the encoder in the folder `artefact`.
+    """Read the encoder in the folder `artefact`, or what the explorer's had become if that is a log.
 
     Raises:
         ArtefactError: if a file is missing or damaged, or a tensor is not what the architecture says.
     """
-    encoder = Encoder(read_architecture(artefact, EncoderArchitecture).encoder, torch.Generator())
-    _load_weights(artefact / WEIGHTS, encoder)
+    folder = encoder_folder(artefact)
+    encoder = Encoder(read_architecture(folder, EncoderArchitecture).encoder, torch.Generator())
+    _load_weights(folder / WEIGHTS, encoder)
     return encoder
 
 
@@ -63,7 +75,7 @@ def load_policy(artefact: Path) -> ActorCritic:
         ArtefactError: if a file is missing or damaged, or a tensor is not what the architecture says.
     """
     found = read_architecture(artefact, PolicyArchitecture)
-    policy = ActorCritic(Encoder(found.encoder, torch.Generator()), found.n_actions, torch.Generator())
+    policy = ActorCritic(make_encoder(found.encoder, torch.Generator()), found.n_actions, torch.Generator())
     _load_weights(artefact / WEIGHTS, policy)
     return policy
 

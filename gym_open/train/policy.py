@@ -189,7 +189,7 @@ class _Trainer:
                 except DivergedError as error:
                     raise DivergedError(
                         f"train policy: update {len(self.rows) + 1} of {self.num_updates}: {error}; make "
-                        f"`ppo.learning_rate` (now {ppo.learning_rate:g}) smaller, or set `ppo.precision` to fp32"
+                        f"`ppo.learning_rate` (now {ppo.learning_rate:g}) smaller, or choose `ppo.precision` fp32"
                     ) from None
                 self.rows.append(self.row(episodes, stats))
                 self.save()

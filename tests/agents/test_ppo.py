@@ -22,7 +22,8 @@ def random_rollout(seed: int, shape: tuple[int, ...] = (1,)) -> Rollout:
     logprobs, rewards, values, next_values = numbers
     ends = rng.random((T, N))
     return replace(
-        Rollout.empty(T, N, shape, torch.uint8), logprobs=logprobs, rewards=rewards, values=values, next_values=next_values,
+        Rollout.empty(T, N, shape, torch.uint8),
+        logprobs=logprobs, rewards=rewards, values=values, next_values=next_values,
         terminations=torch.from_numpy(ends < 0.2), truncations=torch.from_numpy(ends > 0.8),
     )  # fmt: skip
 

@@ -105,8 +105,8 @@ def test_from_an_explorers_own_encoder(tmp_path: Path) -> None:
     assert (facts["encoder"], facts["agent"]) == ("online", "icm")
     for a, b in zip(load_policy(path).encoder.parameters(), load_encoder(log).parameters(), strict=True):
         torch.testing.assert_close(a, b, atol=1e-8, rtol=0)
-    bare = collect(msgspec.structs.replace(play, explorer=ExplorerConfig(world_model="none", reward="none"),
-                                           curriculum=CurriculumConfig(rule="never")), tmp_path / "bare").path  # fmt: skip
+    alone, never = ExplorerConfig(world_model="none", reward="none"), CurriculumConfig(rule="never")
+    bare = collect(msgspec.structs.replace(play, explorer=alone, curriculum=never), tmp_path / "bare").path
     with pytest.raises(ArtefactError, match=r"bare.*model\.json: missing"):
         train_policy(barely, bare, tmp_path / "q")
 
