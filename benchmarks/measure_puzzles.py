@@ -15,7 +15,8 @@ from gym_open.envs.puzzles import CUBES, SIDES, TASKS, Cell, Puzzle, Task, block
 from gym_open.envs.puzzles.sets import SPLITS, Split, puzzles_of
 from gym_open.envs.puzzles.witnesses import witnesses_of
 from gym_open.envs.tasks import PAY, step_budget
-from gym_open.evaluate.play import replay, summarise
+from gym_open.evaluate.play import replay
+from gym_open.evaluate.scores import summarise
 
 STEPS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
 PAPERS_HUMANS = {"goal-seeking": 0.584, "preferences": 0.588, "avoidance": 0.453, "tool-use": 0.363}

@@ -16,9 +16,16 @@ class EvaluateConfig(Config, frozen=True, kw_only=True):
     actions: Literal["sampled", "greedy"] = "sampled"
     """Draw actions from the policy, or take the most likely one."""
     threads: PositiveInt = 2
-    """Torch threads; part of the configuration because the number of threads may change the last bits."""
+    """Threads of torch and of the worlds; part of the configuration because torch's may change the last bits."""
     seed: Seed = 0
     """Root seed of the sampled actions."""
+
+
+class CheckpointConfig(EvaluateConfig, frozen=True, kw_only=True):
+    """How a policy is scored as it was during its training."""
+
+    at: PositiveInt
+    """The checkpoint, by the agent steps that the policy's configuration asked for."""
 
 
 class OracleConfig(Config, frozen=True, kw_only=True):

@@ -23,9 +23,11 @@ from gym_open.envs.puzzles.sets import PER_SET, Split, puzzle_id, puzzles_of
 from gym_open.envs.tasks import judge, rewarded, step_budget
 from gym_open.envs.world import World
 from gym_open.errors import ArtefactError, ConfigError, GymOpenError
-from gym_open.evaluate.play import Episodes, summarise, write_episodes
+from gym_open.evaluate import scores
 from gym_open.evaluate.proof import Proof
+from gym_open.evaluate.scores import Episodes, Scores
 from gym_open.formats.logs import LogHead, LogWriter, SegmentStart, StepRecord, Switch, log_name
+from gym_open.hardware import hardware
 
 if TYPE_CHECKING:
     from gym_open.evaluate.human_window import Window
@@ -235,18 +237,13 @@ def write_scores(
         terminated=np.array([one.terminated for one in rounds]),
     )
     proof = Proof(verdict="no encoder", reasons=["a person played: no policy, and nothing learned from logs"], chain=[])
-    record = {
-        "agent": "human",
-        "player": config.player,
-        "task": config.task,
-        "split": config.split,
-        "picture": config.picture,
-        "actions": "keyboard",
-        **summarise(episodes),
-        "proof": proof,
-    }
-    (folder / "scores.json").write_bytes(artefacts.canonical_json(record))
-    write_episodes(folder / "episodes.parquet", ids, puzzles, episodes)
+    record = Scores(
+        task=config.task, split=config.split, agent="human", seed=None, evaluation_seed=None, trained=0,
+        actions="keyboard", policy=None, proof=proof, code=artefacts.code_version(), hardware=hardware(1),
+        **scores.summarise(episodes),
+    )  # fmt: skip
+    scores.write_scores(folder, record, {"player": config.player, "picture": config.picture})
+    scores.write_episodes(folder, ids, puzzles, episodes)
 
 
 def _table(rows: Sequence[Sequence[float]], width: int, fill: float, kind: Any) -> np.ndarray:

@@ -1,80 +1,155 @@
 """Score a policy, a uniformly random one, or the oracle, on the fixed puzzles of a task."""
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import msgspec
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from gym_open import artefacts, progress
+from gym_open.artefacts import Parent
+from gym_open.config import to_dict
 from gym_open.envs.constants import N_ACTIONS
 from gym_open.envs.env import OpenEnv
+from gym_open.envs.fleet import Fleet
 from gym_open.envs.puzzles import Puzzle, Task
 from gym_open.envs.puzzles.sets import published_digests, puzzle_id, puzzles_of
 from gym_open.envs.puzzles.witnesses import witness_name, witnesses_of
+from gym_open.envs.state import state_vector
 from gym_open.envs.tasks import step_budget
 from gym_open.errors import ArtefactError, UsageError
-from gym_open.evaluate.config import EvaluateConfig, OracleConfig
-from gym_open.evaluate.metrics import a_success, mean_return_within
-from gym_open.evaluate.proof import oracle_proof, task_free_proof
+from gym_open.evaluate.config import CheckpointConfig, EvaluateConfig, OracleConfig
+from gym_open.evaluate.proof import Proof, oracle_proof, task_free_proof
+from gym_open.evaluate.scores import Episodes, Scores, summarise, write_episodes, write_scores
+from gym_open.hardware import hardware
 from gym_open.seeding import generator
 
 Actor = Callable[[np.ndarray], np.ndarray]
-"""From images (B, 84, 84, 3) uint8 to action probabilities (B, 9)."""
+"""From images (B, 84, 84, 3) uint8, or states (B, `STATE_SIZE`) float32, to action probabilities (B, 9)."""
 Choice = Callable[[int, np.ndarray, np.ndarray], Sequence[int]]
-"""From the time step, the indices of the puzzles still played and their images to an action each."""
+"""From the time step, the indices of the puzzles still played and what is seen of them to an action each."""
+
+_TURNS = 4
+"""Times that a thread comes back for more worlds in a step: they share the work out better."""
 
 
-class Episodes(msgspec.Struct, frozen=True):
-    """What was played: row i of every array is puzzle i.
-
-    `actions` and `rewards` have shape (puzzles, N); behind an episode's end actions are −1 and rewards 0.
-    """
-
-    actions: np.ndarray
-    rewards: np.ndarray
-    steps: np.ndarray
-    terminated: np.ndarray
+class _Checkpoint(msgspec.Struct):
+    asked: int
+    step: int
 
 
-def evaluate(config: EvaluateConfig, policy: Path | None, out: Path, *, oracle: bool = False) -> artefacts.Outcome:
+class _PolicyFacts(msgspec.Struct):
+    """What a policy's lineage must say to be scored."""
+
+    task: str
+    steps: int
+    agent: str
+    seed: int
+    checkpoints: list[_Checkpoint]
+
+
+class _Player(NamedTuple):
+    """Who plays, as the record has it."""
+
+    agent: str
+    seed: int | None
+    evaluation_seed: int | None
+    trained: int
+    actions: Literal["sampled", "greedy", "witnesses"]
+    policy: str | None
+    proof: Proof
+
+
+def evaluate(
+    config: EvaluateConfig, policy: Path | None, out: Path, *, oracle: bool = False, at: int | None = None
+) -> artefacts.Outcome:
     """Play the fixed puzzles of a task and split and write the scores.
 
-    Payload: `scores.json` (A-Success, mean returns, proof) and `episodes.parquet` (a row a puzzle, with every action,
-    so that each can be replayed).
+    Payload: `scores.json` (who played, A-Success, mean returns, proof) and `episodes.parquet` (a row a puzzle, with
+    every action, so that each can be replayed).
 
     Args:
         config: task, split, way of choosing actions, seed; of these the oracle takes task and split.
         policy: a policy artefact, or None for uniformly random actions.
         out: folder of the scores.
         oracle: replay the puzzles' witnesses instead of asking a policy.
+        at: score the policy as it was at this checkpoint, one of those that its configuration asked for, in agent
+            steps; None is its end.
 
     Raises:
         ArtefactError: if the policy is damaged or was trained for another task.
-        UsageError: if both a policy and the oracle are asked for.
+        UsageError: if both a policy and the oracle are asked for, or the policy has no such checkpoint.
     """
+    if at is not None and policy is None:
+        raise UsageError(f"evaluate: --at {at} is a checkpoint of a policy, and there is none; give --policy")
     if oracle:
         if policy is not None:
             raise UsageError(f"evaluate: the oracle needs no policy, got {policy}; leave one of the two out")
         return _evaluate_oracle(config, out)
-    if policy is not None:
-        artefacts.verify(policy, "policy")
-        trained_for = artefacts.lineage(policy).facts.get("task")
-        if trained_for != config.task:
-            raise ArtefactError(f"{policy}: trained for task {trained_for!r}, not {config.task!r}; set `task` to match")
+    if policy is None:
+        return _evaluate_random(config, out)
+    return _evaluate_policy(config, policy, out, at)
+
+
+def _evaluate_policy(config: EvaluateConfig, policy: Path, out: Path, at: int | None) -> artefacts.Outcome:
+    from gym_open.formats.models import policy_folder
+
+    link = Parent(
+        digest=artefacts.verify(policy, "policy"),
+        manifest=artefacts.manifest(policy),
+        lineage=artefacts.lineage(policy),
+    )
+    facts = _facts(policy, link)
+    if facts.task != config.task:
+        raise ArtefactError(f"{policy}: trained for task {facts.task!r}, not {config.task!r}; set `task` to match")
+    folder, trained = policy, facts.steps
+    if at is not None:
+        trained = _step(policy, facts, at)
+        folder = policy_folder(policy, trained)
 
     def work(partial: Path) -> Mapping[str, Any]:
-        actor = _uniform if policy is None else _load_actor(policy, config)
-        episodes = play(actor, config.task, puzzles_of(config.task, config.split), config)
-        proof = task_free_proof(None if policy is None else artefacts.lineage(policy))
-        who = {"agent": _agent(policy), "actions": config.actions, "proof": proof}
-        return _write(partial, config, episodes, who)
+        actor, states = _load_actor(folder, config)
+        episodes = play(actor, config.task, puzzles_of(config.task, config.split), config, states=states)
+        player = _Player(
+            facts.agent, facts.seed, config.seed, trained, config.actions, link.digest, task_free_proof(link)
+        )
+        return _write(partial, config, episodes, player, threads=config.threads)
 
-    parents = [] if policy is None else [policy]
-    return artefacts.build(out, kind="scores", config=config, parents=parents, work=work)
+    key = config if at is None else CheckpointConfig(**to_dict(config), at=at)
+    return artefacts.build(out, kind="scores", config=key, parents=[policy], work=work)
+
+
+def _facts(policy: Path, link: Parent) -> _PolicyFacts:
+    try:
+        return msgspec.convert(link.lineage.facts, _PolicyFacts)
+    except msgspec.ValidationError as error:
+        raise ArtefactError(
+            f"{policy / artefacts.LINEAGE}: not a policy's facts as this version writes them: {error}; train it again"
+        ) from None
+
+
+def _step(policy: Path, facts: _PolicyFacts, at: int) -> int:
+    """Agent steps behind the checkpoint that was asked for."""
+    found = {checkpoint.asked: checkpoint.step for checkpoint in facts.checkpoints}
+    if at not in found:
+        there = ", ".join(map(str, sorted(found))) or "none"
+        raise UsageError(
+            f"{policy}: no checkpoint at {at} steps; there are: {there}; the end, after {facts.steps} steps, is scored "
+            "without --at"
+        )
+    return found[at]
+
+
+def _evaluate_random(config: EvaluateConfig, out: Path) -> artefacts.Outcome:
+    def work(partial: Path) -> Mapping[str, Any]:
+        episodes = play(_uniform, config.task, puzzles_of(config.task, config.split), config)
+        player = _Player("random", config.seed, config.seed, 0, config.actions, None, task_free_proof(None))
+        return _write(partial, config, episodes, player, threads=config.threads)
+
+    return artefacts.build(out, kind="scores", config=config, parents=[], work=work)
 
 
 def _evaluate_oracle(config: EvaluateConfig, out: Path) -> artefacts.Outcome:
@@ -83,32 +158,52 @@ def _evaluate_oracle(config: EvaluateConfig, out: Path) -> artefacts.Outcome:
 
     def work(partial: Path) -> Mapping[str, Any]:
         witnesses = witnesses_of(config.task, config.split)
-        episodes = replay(config.task, puzzles_of(config.task, config.split), [w.actions for w in witnesses])
-        who = {"agent": "oracle", "actions": "witnesses", "proof": oracle_proof()}
-        return _write(partial, config, episodes, who)
+        puzzles = puzzles_of(config.task, config.split)
+        episodes = replay(config.task, puzzles, [w.actions for w in witnesses])
+        player = _Player("oracle", None, None, 0, "witnesses", None, oracle_proof())
+        return _write(partial, config, episodes, player, threads=1)
 
     return artefacts.build(out, kind="scores", config=key, parents=[], work=work)
 
 
-def _write(folder: Path, config: EvaluateConfig, episodes: Episodes, who: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Write the payload and return the facts; `who` is what the record says of the agent."""
+def _write(
+    folder: Path, config: EvaluateConfig, episodes: Episodes, player: _Player, *, threads: int
+) -> Mapping[str, Any]:
+    """Write the payload and return the facts."""
     puzzles = puzzles_of(config.task, config.split)
-    record = {"task": config.task, "split": config.split, **who, **summarise(episodes)}
-    (folder / "scores.json").write_bytes(artefacts.canonical_json(record))
+    record = Scores(
+        task=config.task,
+        split=config.split,
+        code=artefacts.code_version(),
+        hardware=hardware(threads),
+        **player._asdict(),
+        **summarise(episodes),
+    )
+    write_scores(folder, record)
     ids = [puzzle_id(config.task, config.split, i) for i in range(len(puzzles))]
-    write_episodes(folder / "episodes.parquet", ids, puzzles, episodes)
-    return {"task": config.task, "split": config.split, "agent": who["agent"], "puzzles": len(puzzles)}
+    write_episodes(folder, ids, puzzles, episodes)
+    return {"task": config.task, "split": config.split, "agent": player.agent, "puzzles": len(puzzles)}
 
 
-def play(actor: Actor, task: Task, puzzles: tuple[Puzzle, ...], config: EvaluateConfig) -> Episodes:
-    """Play every puzzle once, all side by side; each has its own named generator, so that order does not matter."""
+def play(
+    actor: Actor, task: Task, puzzles: tuple[Puzzle, ...], config: EvaluateConfig, *, states: bool = False
+) -> Episodes:
+    """Play every puzzle once, all side by side; each has its own named generator, so that order does not matter.
+
+    Args:
+        actor: who plays.
+        task: what is paid.
+        puzzles: where.
+        config: way of choosing actions, seed, threads.
+        states: show the actor the simulation's states, not pictures.
+    """
     rngs = [generator(config.seed, "evaluate", task, i) for i in range(len(puzzles))]
 
-    def choose(_: int, running: np.ndarray, images: np.ndarray) -> list[int]:
-        rows = zip(running, actor(images), strict=True)
+    def choose(_: int, running: np.ndarray, seen: np.ndarray) -> list[int]:
+        rows = zip(running, actor(seen), strict=True)
         return [int(p.argmax()) if config.actions == "greedy" else _sample(p, rngs[i]) for i, p in rows]
 
-    return _episodes(choose, task, puzzles)
+    return _episodes(choose, task, puzzles, threads=config.threads, states=states)
 
 
 def replay(task: Task, puzzles: tuple[Puzzle, ...], sequences: Sequence[Sequence[int]]) -> Episodes:
@@ -117,93 +212,68 @@ def replay(task: Task, puzzles: tuple[Puzzle, ...], sequences: Sequence[Sequence
     def choose(t: int, running: np.ndarray, _: np.ndarray) -> list[int]:
         return [sequences[i][t] if t < len(sequences[i]) else 0 for i in running]
 
-    return _episodes(choose, task, puzzles)
+    return _episodes(choose, task, puzzles, threads=1)
 
 
-def _episodes(choose: Choice, task: Task, puzzles: tuple[Puzzle, ...]) -> Episodes:
-    N = step_budget(task)
+def _episodes(
+    choose: Choice, task: Task, puzzles: tuple[Puzzle, ...], *, threads: int, states: bool = False
+) -> Episodes:
+    """Play until the last puzzle is over; a world whose puzzle is over is neither stepped nor drawn."""
+    n, N = len(puzzles), step_budget(task)
     envs = [OpenEnv(task) for _ in puzzles]
     images = np.stack([env.reset(seed=0, options={"puzzle": p})[0] for env, p in zip(envs, puzzles, strict=True)])
-    actions = np.full((len(puzzles), N), -1, dtype=np.int8)
-    rewards = np.zeros((len(puzzles), N))
-    steps = np.zeros(len(puzzles), dtype=np.int64)
-    terminated = np.zeros(len(puzzles), dtype=bool)
-    running = np.arange(len(puzzles))
-    with progress.bar(f"evaluate {task}", len(puzzles)) as bar:
+    actions = np.full((n, N), -1, dtype=np.int8)
+    rewards = np.zeros((n, N))
+    steps = np.zeros(n, dtype=np.int64)
+    terminated, running = np.zeros(n, dtype=bool), np.arange(n)
+    fleet = Fleet([env.world for env in envs])
+    with ExitStack() as stack:
+        bar = stack.enter_context(progress.bar(f"evaluate {task}", n))
+        pool = stack.enter_context(ThreadPoolExecutor(threads))
         for t in range(N):
-            for i, action in zip(running, choose(t, running, images[running]), strict=True):
-                images[i], rewards[i, t], terminated[i], truncated, _ = envs[i].step(action)
-                actions[i, t], steps[i] = action, t + 1
-                if terminated[i] or truncated:
-                    bar.advance()
+            seen = np.stack([state_vector(envs[i].world) for i in running]) if states else images[running]
+            chosen = np.full(n, -1)
+            chosen[running] = choose(t, running, seen)
+            parts = [pool.submit(fleet.play, *ends, chosen, images) for ends in _shares(running, threads)]
+            for part in parts:
+                part.result()
+            for i in running:
+                rewards[i, t], terminated[i], truncated = envs[i].score(envs[i].world.stepper.outcome())
+                actions[i, t], steps[i] = chosen[i], t + 1
+                bar.advance(int(terminated[i] or truncated))
             running = running[~terminated[running]]
             if not running.size:
                 break
     return Episodes(actions=actions, rewards=rewards, steps=steps, terminated=terminated)
 
 
-def summarise(episodes: Episodes) -> dict[str, Any]:
-    """Scores of played episodes, with the half-width of a 95% normal interval over puzzles.
-
-    A-Success is linear in the rewards, so it is the mean of the puzzles' own values, and the interval follows from
-    their spread. It says how far another draw of puzzles might lead, not another training seed.
-    """
-    s = mean_return_within(episodes.rewards)
-    per_puzzle = np.array([a_success(np.cumsum(row)) for row in episodes.rewards])
-    return {
-        "a_success": a_success(s),
-        "a_success_half_width_95": float(1.96 * per_puzzle.std(ddof=1) / np.sqrt(len(per_puzzle))),
-        "mean_return": float(s[-1]),
-        "mean_return_within": [float(value) for value in s],
-        "mean_steps": float(episodes.steps.mean()),
-        "puzzles": len(per_puzzle),
-    }
-
-
-def _agent(policy: Path | None) -> str:
-    if policy is None:
-        return "random"
-    return "PPO from encoder" if artefacts.lineage(policy).parents else "PPO from scratch"
+def _shares(running: np.ndarray, threads: int) -> list[tuple[int, int]]:
+    """The running worlds in parts for threads: of each the first, and the one after the last."""
+    parts = np.array_split(running, threads * _TURNS) if threads > 1 else [running]
+    return [(int(part[0]), int(part[-1]) + 1) for part in parts if part.size]
 
 
 def _uniform(images: np.ndarray) -> np.ndarray:
     return np.full((len(images), N_ACTIONS), 1 / N_ACTIONS)
 
 
-def _load_actor(policy: Path, config: EvaluateConfig) -> Actor:
+def _load_actor(folder: Path, config: EvaluateConfig) -> tuple[Actor, bool]:
+    """The policy in a folder, and whether it sees states in place of pictures."""
     import torch
 
     from gym_open.formats.models import load_policy
 
     torch.set_num_threads(config.threads)
-    network = load_policy(policy).eval()
+    network = load_policy(folder).eval()
 
     @torch.inference_mode()
-    def probabilities(images: np.ndarray) -> np.ndarray:
-        logits, _ = network(network.encoder.prepare(torch.from_numpy(images)))
+    def probabilities(seen: np.ndarray) -> np.ndarray:
+        logits, _ = network(network.prepare(torch.from_numpy(seen)))
         return torch.softmax(logits.double(), dim=1).numpy()
 
-    return probabilities
+    return probabilities, network.encoder.config.architecture == "state"
 
 
 def _sample(probabilities: np.ndarray, rng: np.random.Generator) -> int:
     edges = np.cumsum(probabilities)
     return min(int(np.searchsorted(edges, rng.random() * edges[-1], side="right")), len(edges) - 1)
-
-
-def write_episodes(path: Path, ids: Sequence[str], puzzles: Sequence[Puzzle], episodes: Episodes) -> None:
-    """Write a row a puzzle, with every action and reward."""
-    lengths = episodes.steps.tolist()
-    table = pa.table(
-        {
-            "puzzle": list(ids),
-            "digest": [puzzle.digest for puzzle in puzzles],
-            "a_success": [a_success(np.cumsum(row)) for row in episodes.rewards],
-            "return": episodes.rewards.sum(axis=1),
-            "steps": episodes.steps,
-            "terminated": episodes.terminated,
-            "actions": [row[:n].tolist() for row, n in zip(episodes.actions, lengths, strict=True)],
-            "rewards": [row[:n].tolist() for row, n in zip(episodes.rewards, lengths, strict=True)],
-        }
-    )
-    pq.write_table(table, path)

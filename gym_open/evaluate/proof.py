@@ -1,19 +1,31 @@
 """The task-free proof: nothing that an encoder learned from knew of a task, a reward or an evaluation puzzle.
 
-The chain policy → encoder → release → log is walked in the lineage that the policy carries; a release may be made of
-other releases, down to their logs. Each link's digest is recomputed from the records in it, so that a record changed
-afterwards breaks the chain.
+The chain policy → encoder → release → log is walked in the lineage that the policy carries; a policy that starts from
+an explorer's own encoder goes on from the log itself, and a release may be made of other releases, down to their logs.
+Each link's digest is recomputed from the records in it, so that a record changed afterwards breaks the chain.
+
+What no record can show is who wrote them: see `Proof.rests_on`.
 """
 
 from collections.abc import Iterator
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 
-from gym_open.artefacts import Lineage, Parent
+from gym_open.artefacts import Parent
 from gym_open.envs.puzzles.sets import reserved_digests
 
 Verdict = Literal["proven", "no encoder", "missing", "not applicable"]
+
+_BELOW = {"policy": ("encoder", "log"), "encoder": ("release",), "release": ("log", "release"), "log": ()}
+"""What each kind of link may be made of."""
+_PAYLOAD = {
+    "policy": ("model.safetensors", "model.json"), "encoder": ("model.safetensors", "model.json"),
+    "release": ("meta/info.json",), "log": ("summary.json",),
+}  # fmt: skip
+"""Files without which an artefact is none of its kind."""
+_LEARNED_FROM = {"none": [], "offline": ["encoder"], "online": ["log"]}
+"""Parents of a policy, by what its facts say of its encoder."""
 
 
 class Proof(msgspec.Struct, frozen=True):
@@ -27,21 +39,42 @@ class Proof(msgspec.Struct, frozen=True):
     verdict: Verdict
     reasons: list[str]
     chain: list[str]
-    """A line for each link, from the encoder down to the logs."""
+    """A line for each link, from the policy down to the logs."""
+    rests_on: str = ""
+    """What must be believed, since records cannot show it, and how to find out."""
 
 
-def task_free_proof(policy: Lineage | None) -> Proof:
-    """Walk from a policy's lineage down to the logs its encoder was learned from (None: a random agent)."""
-    if policy is None or not policy.parents:
-        return Proof(verdict="no encoder", reasons=["nothing was learned before the task"], chain=[])
-    fixed = reserved_digests()
+class _Facts(msgspec.Struct):
+    """Of a policy."""
+
+    encoder: Literal["none", "offline", "online"]
+    from_encoder: bool
+
+
+def task_free_proof(policy: Parent | None) -> Proof:
+    """Walk from a policy's records down to the logs its encoder was learned from (None: a random agent).
+
+    `policy` has the records of a policy's folder, or is the parent in the lineage of its scores: they are the same.
+    """
+    if policy is None:
+        return Proof(verdict="no encoder", reasons=["nothing was learned at all"], chain=[])
     reasons: list[str] = []
     chain: list[str] = []
-    for parent in policy.parents:
-        for line, faults in _walk(parent, ("encoder",), fixed):
-            chain.append(line)
-            reasons.extend(faults)
-    return Proof(verdict="missing" if reasons else "proven", reasons=reasons, chain=chain)
+    for line, faults in _walk(policy, ("policy",)):
+        chain.append(line)
+        reasons.extend(faults)
+    if reasons:
+        return Proof(verdict="missing", reasons=reasons, chain=chain)
+    if not policy.lineage.parents:
+        reasons = ["nothing was learned before the task"]
+        return Proof(verdict="no encoder", reasons=reasons, chain=chain, rests_on=_own_training(policy))
+    trust = (
+        f"every record matches the digest that names it, up to the policy's, {policy.digest}: whoever writes all of "
+        "them anew has a policy of another digest, so compare it with the one that was published. That the weights "
+        "came of the release is the word of who trained them: the same commands on the same type of machine give the "
+        "same bytes, and `gym-open dataset verify` plays a release again. "
+    )
+    return Proof(verdict="proven", reasons=[], chain=chain, rests_on=trust + _own_training(policy))
 
 
 def oracle_proof() -> Proof:
@@ -50,32 +83,100 @@ def oracle_proof() -> Proof:
     return Proof(verdict="not applicable", reasons=[reason], chain=[])
 
 
-_BELOW = {"encoder": ("release",), "release": ("log", "release")}
+def _own_training(policy: Parent) -> str:
+    return (
+        f"The policy's own puzzles were drawn by code {policy.lineage.code}, whose generator never gives one of the "
+        f"{len(reserved_digests())} evaluation layouts."
+    )
 
 
-def _walk(link: Parent, expected: tuple[str, ...], fixed: frozenset[str]) -> Iterator[tuple[str, list[str]]]:
-    name = f"{link.lineage.kind} {link.digest[:12]}"
+def _walk(link: Parent, expected: tuple[str, ...]) -> Iterator[tuple[str, list[str]]]:
+    kind = link.lineage.kind
+    name = f"{kind} {link.digest[:12]}"
     faults = []
-    if link.lineage.kind not in expected:
-        faults.append(f"{name}: expected a link of kind {' or '.join(map(repr, expected))}")
+    if kind not in expected:
+        kinds = " or ".join(map(repr, expected)) or "nothing: a log is where the chain ends"
+        faults.append(f"{name}: expected {'a link of kind ' if expected else ''}{kinds}")
     if not link.is_consistent():
         faults.append(f"{name}: its records do not match its digest")
-    if link.lineage.kind == "log":
-        faults += [f"{name}: {fault}" for fault in _faults_of_log(link.lineage.facts, fixed)]
-    elif not link.lineage.parents:
-        faults.append(f"{name}: its parents are not recorded")
+    faults += [f"{name}: {fault}" for fault in (*_faults_of_payload(link), *_FAULTS.get(kind, _none)(link))]
     yield name, faults
     for parent in link.lineage.parents:
-        yield from _walk(parent, _BELOW.get(link.lineage.kind, ("log",)), fixed)
+        yield from _walk(parent, _BELOW.get(kind, ()))
 
 
-def _faults_of_log(facts: dict[str, object], fixed: frozenset[str]) -> Iterator[str]:
-    puzzles = facts.get("puzzles")
+def _none(_: Parent) -> Iterator[str]:
+    yield from ()
+
+
+def _faults_of_payload(link: Parent) -> Iterator[str]:
+    for file in _PAYLOAD.get(link.lineage.kind, ()):
+        if file not in link.manifest:
+            yield f"its manifest has no {file}, so it is no {link.lineage.kind}"
+
+
+def _faults_of_policy(link: Parent) -> Iterator[str]:
+    try:
+        facts = msgspec.convert(link.lineage.facts, _Facts)
+    except msgspec.ValidationError as error:
+        yield f"its facts do not say what it started from ({error})"
+        return
+    parents = link.lineage.parents
+    kinds = [parent.lineage.kind for parent in parents]
+    if kinds != _LEARNED_FROM[facts.encoder] or facts.from_encoder is not bool(parents):
+        yield f"its facts say {facts.encoder!r} of its encoder, its records have {kinds or 'none'}"
+    if facts.encoder == "online" and any("encoder/model.safetensors" not in parent.manifest for parent in parents):
+        yield "the log that it started from holds no encoder"
+
+
+def _faults_of_encoder(link: Parent) -> Iterator[str]:
+    if not link.lineage.parents:
+        yield "its parents are not recorded"
+    for fact in sorted({"task", "extrinsic_reward"} & link.lineage.facts.keys()):
+        yield f"its facts name {fact!r}, as no encoder's do: it learned something else"
+
+
+def _faults_of_release(link: Parent) -> Iterator[str]:
+    if not link.lineage.parents:
+        yield "its parents are not recorded"
+    held = _words(link.lineage.facts.get("logs"))
+    if not held:
+        yield "does not name the logs whose steps it holds"
+        return
+    if hidden := sorted(held - set(_logs(link))):
+        yield f"holds steps of {len(hidden)} log(s) that are not in its records, the first {hidden[0][:12]}"
+    own = {parent.digest for parent in link.lineage.parents if parent.lineage.kind == "log"}
+    if unnamed := sorted(own - held):
+        yield f"made of {len(unnamed)} log(s) that it does not name, the first {unnamed[0][:12]}"
+
+
+def _logs(link: Parent) -> Iterator[str]:
+    if link.lineage.kind == "log":
+        yield link.digest
+    for parent in link.lineage.parents:
+        yield from _logs(parent)
+
+
+def _faults_of_log(link: Parent) -> Iterator[str]:
+    facts = link.lineage.facts
+    if not any(file.endswith(".mcap") for file in link.manifest):
+        yield "its manifest has no .mcap file, so it is no log"
     if facts.get("task") != "sandbox":
         yield f"played task {facts.get('task')!r}, not the sandbox"
     if facts.get("extrinsic_reward") is not False:
         yield "does not say that extrinsic reward was off"
-    if not isinstance(puzzles, list) or not puzzles:
+    puzzles = _words(facts.get("puzzles"))
+    if not puzzles:
         yield "does not name its puzzles"
-    elif shared := fixed & set(puzzles):
+    elif shared := reserved_digests() & puzzles:
         yield f"holds {len(shared)} evaluation puzzle(s), the first with digest {min(shared)[:12]}"
+
+
+def _words(value: Any) -> set[str]:
+    """The texts in a list; an empty set if it is none, or holds something else."""
+    return set(value) if isinstance(value, list) and all(isinstance(item, str) for item in value) else set()
+
+
+_FAULTS = {
+    "policy": _faults_of_policy, "encoder": _faults_of_encoder, "release": _faults_of_release, "log": _faults_of_log,
+}  # fmt: skip

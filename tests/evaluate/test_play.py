@@ -17,7 +17,8 @@ from gym_open.envs.tasks import step_budget
 from gym_open.errors import UsageError
 from gym_open.evaluate import a_success
 from gym_open.evaluate.config import EvaluateConfig
-from gym_open.evaluate.play import Episodes, evaluate, play, replay, summarise
+from gym_open.evaluate.play import evaluate, play, replay
+from gym_open.evaluate.scores import Episodes, summarise
 
 
 def _uniform(images: np.ndarray) -> np.ndarray:
