@@ -17,7 +17,8 @@ from torch import Tensor, nn
 
 from gym_open.agents.augment import draw_shifts, no_shifts
 from gym_open.agents.config import CurlConfig
-from gym_open.agents.encoder import Encoder, autocast, init_layer
+from gym_open.agents.encoder import Encoder, autocast
+from gym_open.agents.layers import init_layer
 from gym_open.agents.world_model import Transitions, WorldModel
 
 

@@ -1,6 +1,5 @@
 """The image encoder: centred, scaled pixels through the paper's three-layer CNN, or through a deeper one."""
 
-import math
 from collections.abc import Callable
 
 import torch
@@ -8,6 +7,8 @@ from torch import Tensor, nn
 
 from gym_open.agents.augment import no_shifts, shift_each
 from gym_open.agents.config import EncoderConfig, Precision
+from gym_open.agents.impala import impala
+from gym_open.agents.layers import init_layer
 
 IMAGE_SHAPE = (84, 84, 3)
 """Height, width, channels of an observation."""
@@ -16,13 +17,6 @@ IMAGE_SHAPE = (84, 84, 3)
 def autocast(precision: Precision, device: str = "cpu") -> torch.autocast:
     """Context in which the network computes in `precision` (weights and losses stay fp32) on a `device`."""
     return torch.autocast(device, torch.bfloat16, enabled=precision == "bf16")
-
-
-def init_layer(layer: nn.Conv2d | nn.Linear, generator: torch.Generator, std: float = math.sqrt(2)) -> None:
-    """Orthogonal weights of gain `std` and zero bias, drawn from `generator` (as CleanRL's `layer_init`)."""
-    nn.init.orthogonal_(layer.weight, std, generator=generator)
-    if layer.bias is not None:
-        nn.init.zeros_(layer.bias)
 
 
 def convolutions(features: int, activation: Callable[[], nn.Module], generator: torch.Generator) -> nn.Sequential:
@@ -63,7 +57,9 @@ class Encoder(nn.Module):
         self.config = config
         height, width, channels = IMAGE_SHAPE
         self.register_buffer("mean_image", torch.zeros(channels, height, width))
-        self.layers = convolutions(config.features, nn.ReLU, generator).append(nn.ReLU())
+        deep = config.architecture == "impala"
+        layers = impala(config.features, generator) if deep else convolutions(config.features, nn.ReLU, generator)
+        self.layers = layers.append(nn.ReLU())
 
     def set_mean_image(self, images: Tensor) -> None:
         """Let the mean of `images`, (N, 84, 84, 3) uint8, be what is subtracted from every picture.

@@ -19,7 +19,8 @@ from torch import Tensor, nn
 
 from gym_open.agents.augment import no_shifts
 from gym_open.agents.config import IcmConfig
-from gym_open.agents.encoder import Encoder, init_layer
+from gym_open.agents.encoder import Encoder
+from gym_open.agents.layers import init_layer
 from gym_open.agents.world_model import Transitions, WorldModel
 
 

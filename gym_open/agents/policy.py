@@ -5,7 +5,8 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from gym_open.agents.config import EncoderConfig
-from gym_open.agents.encoder import Encoder, init_layer
+from gym_open.agents.encoder import Encoder
+from gym_open.agents.layers import init_layer
 from gym_open.agents.state import StateEncoder
 from gym_open.errors import DivergedError
 

@@ -22,7 +22,8 @@ from torch import Tensor, nn
 
 from gym_open.agents.augment import no_shifts, shift_each
 from gym_open.agents.config import RndConfig
-from gym_open.agents.encoder import IMAGE_SHAPE, Encoder, convolutions, init_layer
+from gym_open.agents.encoder import IMAGE_SHAPE, Encoder, convolutions
+from gym_open.agents.layers import init_layer
 from gym_open.agents.world_model import Transitions, WorldModel
 
 

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor, nn
 
 from gym_open.agents.config import EncoderConfig
-from gym_open.agents.encoder import init_layer
+from gym_open.agents.layers import init_layer
 from gym_open.envs.state import STATE_SIZE
 
 
