@@ -6,7 +6,6 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-import msgspec
 import numpy as np
 
 from gym_open import artefacts, progress
@@ -22,7 +21,7 @@ from gym_open.envs.state import state_vector
 from gym_open.envs.tasks import step_budget
 from gym_open.errors import ArtefactError, UsageError
 from gym_open.evaluate.config import CheckpointConfig, EvaluateConfig, OracleConfig
-from gym_open.evaluate.proof import Proof, oracle_proof, task_free_proof
+from gym_open.evaluate.proof import PolicyFacts, Proof, oracle_proof, policy_facts, task_free_proof
 from gym_open.evaluate.scores import Episodes, Scores, summarise, write_episodes, write_scores
 from gym_open.hardware import hardware
 from gym_open.seeding import generator
@@ -34,21 +33,6 @@ Choice = Callable[[int, np.ndarray, np.ndarray], Sequence[int]]
 
 _TURNS = 4
 """Times that a thread comes back for more worlds in a step: they share the work out better."""
-
-
-class _Checkpoint(msgspec.Struct):
-    asked: int
-    step: int
-
-
-class _PolicyFacts(msgspec.Struct):
-    """What a policy's lineage must say to be scored."""
-
-    task: str
-    steps: int
-    agent: str
-    seed: int
-    checkpoints: list[_Checkpoint]
 
 
 class _Player(NamedTuple):
@@ -102,7 +86,7 @@ def _evaluate_policy(config: EvaluateConfig, policy: Path, out: Path, at: int | 
         manifest=artefacts.manifest(policy),
         lineage=artefacts.lineage(policy),
     )
-    facts = _facts(policy, link)
+    facts = policy_facts(link, policy)
     if facts.task != config.task:
         raise ArtefactError(f"{policy}: trained for task {facts.task!r}, not {config.task!r}; set `task` to match")
     folder, trained = policy, facts.steps
@@ -122,25 +106,16 @@ def _evaluate_policy(config: EvaluateConfig, policy: Path, out: Path, at: int | 
     return artefacts.build(out, kind="scores", config=key, parents=[policy], work=work)
 
 
-def _facts(policy: Path, link: Parent) -> _PolicyFacts:
-    try:
-        return msgspec.convert(link.lineage.facts, _PolicyFacts)
-    except msgspec.ValidationError as error:
-        raise ArtefactError(
-            f"{policy / artefacts.LINEAGE}: not a policy's facts as this version writes them: {error}; train it again"
-        ) from None
-
-
-def _step(policy: Path, facts: _PolicyFacts, at: int) -> int:
+def _step(policy: Path, facts: PolicyFacts, at: int) -> int:
     """Agent steps behind the checkpoint that was asked for."""
-    found = {checkpoint.asked: checkpoint.step for checkpoint in facts.checkpoints}
-    if at not in found:
-        there = ", ".join(map(str, sorted(found))) or "none"
+    step = facts.steps_at(at)
+    if step is None:
+        there = ", ".join(f"{checkpoint.asked}" for checkpoint in facts.checkpoints) or "none"
         raise UsageError(
             f"{policy}: no checkpoint at {at} steps; there are: {there}; the end, after {facts.steps} steps, is scored "
             "without --at"
         )
-    return found[at]
+    return step
 
 
 def _evaluate_random(config: EvaluateConfig, out: Path) -> artefacts.Outcome:

@@ -8,12 +8,14 @@ What no record can show is who wrote them: see `Proof.rests_on`.
 """
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
 
-from gym_open.artefacts import Parent
+from gym_open.artefacts import LINEAGE, Parent
 from gym_open.envs.puzzles.sets import reserved_digests
+from gym_open.errors import ArtefactError
 
 Verdict = Literal["proven", "no encoder", "missing", "not applicable"]
 
@@ -44,11 +46,39 @@ class Proof(msgspec.Struct, frozen=True):
     """What must be believed, since records cannot show it, and how to find out."""
 
 
-class _Facts(msgspec.Struct):
-    """Of a policy."""
+class _Checkpoint(msgspec.Struct, frozen=True):
+    asked: int
+    step: int
 
+
+class PolicyFacts(msgspec.Struct, frozen=True):
+    """What a policy's lineage must say of it, to be scored."""
+
+    task: str
+    steps: int
+    agent: str
+    seed: int
     encoder: Literal["none", "offline", "online"]
     from_encoder: bool
+    checkpoints: list[_Checkpoint]
+
+    def steps_at(self, asked: int) -> int | None:
+        """Agent steps behind the checkpoint that was asked for, None if there is none."""
+        return {checkpoint.asked: checkpoint.step for checkpoint in self.checkpoints}.get(asked)
+
+
+def policy_facts(policy: Parent, folder: Path) -> PolicyFacts:
+    """The facts of a policy; `folder` is named in errors.
+
+    Raises:
+        ArtefactError: if they are not those of a policy.
+    """
+    try:
+        return msgspec.convert(policy.lineage.facts, PolicyFacts)
+    except msgspec.ValidationError as error:
+        raise ArtefactError(
+            f"{folder / LINEAGE}: not a policy's facts as this version writes them: {error}; train it again"
+        ) from None
 
 
 def task_free_proof(policy: Parent | None) -> Proof:
@@ -117,9 +147,9 @@ def _faults_of_payload(link: Parent) -> Iterator[str]:
 
 def _faults_of_policy(link: Parent) -> Iterator[str]:
     try:
-        facts = msgspec.convert(link.lineage.facts, _Facts)
+        facts = msgspec.convert(link.lineage.facts, PolicyFacts)
     except msgspec.ValidationError as error:
-        yield f"its facts do not say what it started from ({error})"
+        yield f"its facts are not those of a policy ({error})"
         return
     parents = link.lineage.parents
     kinds = [parent.lineage.kind for parent in parents]

@@ -159,6 +159,14 @@ def read_episodes(scores: Path) -> list[dict[str, Any]]:
         raise ArtefactError(f"{path}: missing, so nothing can be replayed; evaluate again") from None
     except (pa.ArrowException, OSError) as error:
         raise ArtefactError(f"{path}: not readable: {error}; evaluate again") from None
-    if not table.schema.equals(_schema()):
+    if not table.schema.equals(_schema()) or any(_has_nulls(column) for column in table.columns):
         raise ArtefactError(f"{path}: its columns are not those that gym-open writes; evaluate again")
     return table.to_pylist()
+
+
+def _has_nulls(column: "pa.ChunkedArray") -> bool:
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    inner = pc.list_flatten(column) if pa.types.is_list(column.type) else column
+    return bool(column.null_count or inner.null_count)
