@@ -106,7 +106,7 @@ def run(root: Path, seed: int, console: Console) -> None:
         console.print(markup(proof_text(name, path)), highlight=False)
     console.print(f"({PAPER_NOTE})\ntotal {time.perf_counter() - started:.0f} s", highlight=False)
     console.print(f"\ncurves: {markup(short(figure / 'run.png'))}", highlight=False, soft_wrap=True)
-    longer = root / "train/policy-goal-seeking-400k.toml"
+    longer = root / "train/policy-strong.toml"
     for line in (
         f"rerun {word(recording / 'recording.rrd')}",
         f"gym-open viz {word(release)} --save release.rrd",
