@@ -1,6 +1,13 @@
 """gym-open: OPEn, an open-ended physics environment for learning without a task, as data and offline learning."""
 
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 import gymnasium
+
+if TYPE_CHECKING:
+    from gym_open.agents.encoder import Encoder
 
 __version__ = "0.1.0"
 
@@ -33,3 +40,15 @@ if PAPER_ENV_ID not in gymnasium.registry:
         order_enforce=False,  # its listings step before any reset, and a wrapper would hide its methods
         disable_env_checker=True,
     )
+
+
+def load_encoder(path: Path | str) -> "Encoder":
+    """The encoder in a folder: one that `train encoder` made, a log's own, or one fetched from the Hugging Face hub.
+
+    `load_encoder(path).encode(images)` turns (B, 84, 84, 3) uint8 pictures into (B, features) float32.
+
+    Raises:
+        ArtefactError: if a file is missing or damaged, or a tensor is not what the architecture says.
+    """
+    # By name, since every room imports this package, and none may import the rooms above it.
+    return import_module("gym_open.formats.models").load_encoder(Path(path))

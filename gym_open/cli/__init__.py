@@ -12,7 +12,7 @@ from typing import Any, get_type_hints
 import tyro
 
 import gym_open
-from gym_open.cli import datasets, logs, stages, world
+from gym_open.cli import datasets, logs, results, stages, world
 from gym_open.cli.base import Command
 from gym_open.config import check, load
 from gym_open.envs.look.backend import check_backend
@@ -41,6 +41,9 @@ COMMANDS: dict[str, type[Command]] = {
     "train policy": stages.TrainPolicy,
     "train probe": stages.TrainProbe,
     "evaluate": stages.Evaluate,
+    "score verify": results.ScoreVerify,
+    "benchmark": results.Benchmark,
+    "report": results.Report,
     "viz": stages.Viz,
     "puzzle show": world.PuzzleShow,
     "puzzle verify": world.PuzzleVerify,

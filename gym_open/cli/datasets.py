@@ -40,6 +40,8 @@ class DatasetBuild(StageCommand):
     """Take over the previous release as it is, and add what is in the logs."""
     workers: int | None = None
     """Threads that code pictures; default one a processor. The result is the same."""
+    replace: bool = False
+    """Set aside what stands at --out if it was made of other inputs, rather than refuse: for drafts."""
 
     default = "datasets/explore.toml"
     about = "logs to a LeRobot release"
@@ -52,8 +54,9 @@ class DatasetBuild(StageCommand):
             raise UsageError("--logs: expected one folder of logs or more; make one with `gym-open collect`")
         folder = self.place(self.out, f"datasets/{self.settings.name}", self.settings.version)
         made = build_release(
-            self.settings, self.logs, folder, previous=self.previous, append=self.append, workers=self.workers
-        )
+            self.settings, self.logs, folder,
+            previous=self.previous, append=self.append, workers=self.workers, replace=self.replace,
+        )  # fmt: skip
         _made(made)
 
 

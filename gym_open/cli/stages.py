@@ -84,6 +84,10 @@ class TrainEncoder(StageCommand):
     """Folder of a release that `gym-open dataset build` made."""
     out: Path | None = None
     """Folder of the encoder; default train/encoders/ and the configuration's name."""
+    tensorboard: Path | None = None
+    """Folder for TensorBoard's event files, written while it learns."""
+    cache: Path | None = None
+    """Folder that keeps the release's decoded pictures for the next encoder."""
 
     default = "train/encoder-curl.toml"
     about = "learn an encoder from a release"
@@ -92,7 +96,8 @@ class TrainEncoder(StageCommand):
         """Train."""
         from gym_open.train.encoder import train_encoder
 
-        made = train_encoder(self.settings, self.release, self.place(self.out, "train/encoders"))
+        folder = self.place(self.out, "train/encoders")
+        made = train_encoder(self.settings, self.release, folder, tensorboard=self.tensorboard, cache=self.cache)
         path = word(made.path)
         report(made, f"gym-open train probe --encoder {path}", f"gym-open train policy --encoder {path}")
 
@@ -101,14 +106,20 @@ class TrainEncoder(StageCommand):
 class TrainPolicy(StageCommand):
     """Train a policy on one task with PPO, from an encoder or from scratch.
 
+    The encoder may be one trained off-line from a release, or the one that an explorer ended with, in its log.
+
     Example: gym-open train policy --encoder train/encoders/encoder-curl --task goal-seeking
+
+    Example: gym-open train policy --encoder collect/logs/icm --config train/policy-strong.toml
     """
 
     settings: Settings[PolicyTrainConfig]
     encoder: Path | None = None
-    """Folder of an encoder to start from; without it, from scratch."""
+    """Folder of an encoder, or of logs, to start from; without it, from scratch."""
     out: Path | None = None
     """Folder of the policy; default train/policies/ and the configuration's name."""
+    tensorboard: Path | None = None
+    """Folder for TensorBoard's event files, written while it learns."""
 
     default = "train/policy-goal-seeking.toml"
     about = "PPO on a task, from an encoder or from scratch"
@@ -117,7 +128,8 @@ class TrainPolicy(StageCommand):
         """Train."""
         from gym_open.train.policy import train_policy
 
-        made = train_policy(self.settings, self.encoder, self.place(self.out, "train/policies"))
+        folder = self.place(self.out, "train/policies")
+        made = train_policy(self.settings, self.encoder, folder, tensorboard=self.tensorboard)
         report(made, f"gym-open evaluate --task {self.settings.task} --policy {word(made.path)}")
 
 
@@ -160,6 +172,8 @@ class Evaluate(StageCommand):
     """Folder of a policy; without it, a random one is scored."""
     oracle: bool = False
     """Score the puzzles' witnesses instead of a policy."""
+    at: int | None = None
+    """Score the policy as it was at this checkpoint, one that its configuration asked for; default its end."""
     out: Path | None = None
     """Folder of the scores; default evaluate/scores/ and the policy's name."""
 
@@ -171,11 +185,12 @@ class Evaluate(StageCommand):
         from gym_open.evaluate.play import evaluate
 
         name = self.policy.name if self.policy else f"{self.settings.task}-{'oracle' if self.oracle else 'random'}"
+        name += "" if self.at is None else f"-at{self.at}"
         folder = self.place(self.out, "evaluate/scores", name)
-        made = evaluate(self.settings, self.policy, folder, oracle=self.oracle)
+        made = evaluate(self.settings, self.policy, folder, oracle=self.oracle, at=self.at)
         out.print(score_table({name: made.path}))
         say(proof_text(name, made.path))
-        report(made)
+        report(made, f"gym-open score verify {word(made.path)}", f"gym-open report {word(made.path.parent)}")
 
 
 @dataclass(frozen=True, kw_only=True)

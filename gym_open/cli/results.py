@@ -1,0 +1,100 @@
+"""Sub-commands on results: many runs at a time, reports of scores, scores played again."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from gym_open.cli.base import Command, out, report, say
+from gym_open.config import load
+from gym_open.summary import short, word
+
+
+@dataclass(frozen=True, kw_only=True)
+class Benchmark(Command):
+    """Train and score a grid of agents, tasks and seeds, as many jobs side by side as there are cores, and report.
+
+    What is up to date is skipped; after a kill, the same command goes on where it was.
+
+    Example: gym-open benchmark evaluate/benchmark-small.toml --out evaluate/benchmarks/small
+    """
+
+    grid: Annotated[Path, tyro.conf.Positional]
+    """TOML file with the agents, tasks and seeds."""
+    out: Path
+    """Folder for all that is made: logs, releases, encoders, policies, scores, report."""
+    workspace: Path = Path()
+    """Folder whose configurations the grid names."""
+    jobs: int | None = None
+    """Jobs side by side, of one thread each; default one for each core."""
+
+    about = "a grid of agents, tasks and seeds, side by side"
+
+    def run(self) -> None:
+        """Run all."""
+        from gym_open.benchmark import run_benchmark
+        from gym_open.benchmark.config import BenchmarkConfig
+
+        grid = load(self.grid, BenchmarkConfig)
+        made = run_benchmark(grid, self.out, root=self.workspace, jobs=self.jobs, console=out)
+        say(short(made / "report.html"), verb="made")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report(Command):
+    """Put all scores below some folders on one page: tables, intervals, curves, proofs, configurations.
+
+    Example: gym-open report evaluate/scores --out evaluate/reports/first
+    """
+
+    sources: Annotated[list[Path], tyro.conf.Positional]
+    """Folders that hold scores, at any depth; probes and policies below them are told of, too."""
+    out: Path = Path("evaluate/reports/report")
+    """Folder for the page."""
+    split: str = "test"
+    """Which puzzles' scores: `test` or `validation`."""
+    seed: int = 0
+    """Of the bootstrap."""
+
+    about = "one page of scores, with intervals and proofs"
+
+    def run(self) -> None:
+        """Write it."""
+        from gym_open.config import check
+        from gym_open.evaluate.report import ReportConfig, write_report
+
+        config = check(ReportConfig(split=self.split, seed=self.seed), source="options")  # pyright: ignore[reportArgumentType]  # checked here
+        made = write_report(config, self.sources, self.out)
+        report(made, f"open {word(made.path / 'report.html')} in a browser, or read {word(made.path / 'report.md')}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoreVerify(Command):
+    """Play again what was scored, and work out anew what it claims: rewards, scores, who played, the proof.
+
+    Example: gym-open score verify evaluate/scores/policy-goal-seeking
+
+    Example: gym-open score verify evaluate/scores/policy-goal-seeking --puzzle goal-seeking/017
+    """
+
+    scores: Annotated[Path, tyro.conf.Positional]
+    """Folder of scores."""
+    puzzle: str | None = None
+    """Only the episode on this puzzle, such as goal-seeking/017."""
+
+    about = "play scored episodes again and check the scores"
+
+    def run(self) -> None:
+        """Verify."""
+        from gym_open.evaluate.replay import replay_puzzle, verify_scores
+
+        if self.puzzle is None:
+            record = verify_scores(self.scores)
+            say(f"{short(self.scores)}: {record.puzzles} episodes, A-Success {record.a_success:.3f}", verb="verified")
+            return
+        found = replay_puzzle(self.scores, self.puzzle)
+        end = "done" if found.terminated else "out of actions"
+        paid = sum(found.rewards)
+        say(f"{found.id}: {len(found.actions)} actions, return {paid:g}, {end}", verb="verified")
+        say(f"  next: gym-open render video {found.id} --actions {word(self.scores)} --save episode.mp4")
