@@ -57,7 +57,7 @@ def replay_puzzle(scores: Path, puzzle: str) -> Replay:
     rows = read_episodes(scores)
     for row in rows:
         if row["puzzle"] == puzzle:
-            return _again(scores / EPISODES, record, row)
+            return _again(scores / EPISODES, _puzzle(scores / EPISODES, record, row), row)
     held = f"{rows[0]['puzzle']} to {rows[-1]['puzzle']}" if rows else "none"
     raise ArtefactError(f"{scores}: no episode of puzzle {puzzle}; it holds {held}")
 
@@ -79,10 +79,7 @@ def verify_scores(scores: Path) -> Scores:
             f"{scores / EPISODES}: expected the {record.split} puzzles of {record.task}, each once and in order, got "
             f"{len(found)} others; evaluate again"
         )
-    with progress.bar("replay", len(rows)) as bar:
-        for row in rows:
-            _again(scores / EPISODES, record, row)
-            bar.advance()
+    puzzles = [_puzzle(scores / EPISODES, record, row) for row in rows]
     for field, expected in (*_numbers(record, rows), *_origin(scores)):
         if not _same(getattr(record, field), expected):
             raise ArtefactError(
@@ -90,37 +87,49 @@ def verify_scores(scores: Path) -> Scores:
                 "of the artefact; evaluate again"
             )
     _check_proof(scores, record)
+    with progress.bar("replay", len(rows)) as bar:
+        for puzzle, row in zip(puzzles, rows, strict=True):
+            _again(scores / EPISODES, puzzle, row)
+            bar.advance()
     return record
 
 
-def _again(file: Path, record: Scores, row: dict[str, Any]) -> Replay:
-    """Play the actions of a row, and hold what comes of them against it."""
-    name, actions, rewards = row["puzzle"], row["actions"], row["rewards"]
-    puzzle = puzzle_by_id(name)
+def _refused(file: Path, row: dict[str, Any], what: str) -> ArtefactError:
+    return ArtefactError(f"{file}: puzzle {row['puzzle']}: {what}; {_ELSE}")
 
-    def refuse(what: str) -> ArtefactError:
-        return ArtefactError(f"{file}: puzzle {name}: {what}; {_ELSE}")
 
+def _puzzle(file: Path, record: Scores, row: dict[str, Any]) -> Puzzle:
+    """The puzzle of a row that could have been played."""
+    puzzle, actions, rewards = puzzle_by_id(row["puzzle"]), row["actions"], row["rewards"]
     if puzzle.task != record.task:
-        raise refuse(f"a puzzle of task {puzzle.task}, but the scores are of {record.task}")
+        raise _refused(file, row, f"a puzzle of task {puzzle.task}, but the scores are of {record.task}")
     if row["digest"] != puzzle.digest:
-        raise refuse(f"layout {row['digest']}, but that of the fixed puzzle is {puzzle.digest}")
+        raise _refused(file, row, f"layout {row['digest']}, but that of the fixed puzzle is {puzzle.digest}")
     if not 0 < len(actions) == len(rewards) == row["steps"] <= step_budget(record.task):
-        raise refuse(f"{row['steps']} steps with {len(actions)} actions and {len(rewards)} rewards")
+        raise _refused(file, row, f"{row['steps']} steps with {len(actions)} actions and {len(rewards)} rewards")
     if not all(0 <= action < N_ACTIONS for action in actions):
-        raise refuse(f"an action that is none of 0 to {N_ACTIONS - 1}")
-    env = OpenEnv(record.task)
+        raise _refused(file, row, f"an action that is none of 0 to {N_ACTIONS - 1}")
+    if not np.isfinite(rewards).all():
+        raise _refused(file, row, "a reward that is not finite")
+    return puzzle
+
+
+def _again(file: Path, puzzle: Puzzle, row: dict[str, Any]) -> Replay:
+    """Play the actions of a row, and hold what comes of them against it."""
+    actions, rewards = row["actions"], row["rewards"]
+    env = OpenEnv(puzzle.task)
     env.reset(seed=0, options={"puzzle": puzzle})
     terminated = False
     for step, (action, reward) in enumerate(zip(actions, rewards, strict=True), 1):
         _, paid, terminated, truncated, _ = env.step(action)
         if paid != reward:
-            raise refuse(f"step {step}: reward {reward} was recorded, {paid} is paid")
+            raise _refused(file, row, f"step {step}: reward {reward} was recorded, {paid} is paid")
         if (terminated or truncated) is not (step == len(actions)):
-            raise refuse(f"step {step}: the episode {'ends' if step < len(actions) else 'does not end'} here")
+            ends = "ends" if step < len(actions) else "does not end"
+            raise _refused(file, row, f"step {step}: the episode {ends} here")
     if terminated != row["terminated"]:
-        raise refuse(f"`terminated` is {row['terminated']}, but the episode's end says {terminated}")
-    return Replay(name, puzzle, actions, rewards, terminated)
+        raise _refused(file, row, f"`terminated` is {row['terminated']}, but the episode's end says {terminated}")
+    return Replay(row["puzzle"], puzzle, actions, rewards, terminated)
 
 
 def _numbers(record: Scores, rows: list[dict[str, Any]]) -> Iterator[tuple[str, Any]]:

@@ -166,7 +166,6 @@ def read_episodes(scores: Path) -> list[dict[str, Any]]:
 
 def _has_nulls(column: "pa.ChunkedArray") -> bool:
     import pyarrow as pa
-    import pyarrow.compute as pc
 
-    inner = pc.list_flatten(column) if pa.types.is_list(column.type) else column
-    return bool(column.null_count or inner.null_count)
+    lists = [chunk.flatten() for chunk in column.chunks if isinstance(chunk, pa.ListArray)]
+    return bool(column.null_count or any(inner.null_count for inner in lists))
