@@ -1,0 +1,82 @@
+"""`gym-open report`: several scores together, as one page with tables, figures, proof and commands."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from gym_open import artefacts
+from gym_open.config import check, to_dict
+from gym_open.evaluate.report.config import ReportConfig
+from gym_open.evaluate.report.gather import Run, Sources, gather, one_line
+
+__all__ = ["ReportConfig", "write_report"]
+
+
+def write_report(config: ReportConfig, sources: Sequence[Path], out: Path) -> artefacts.Outcome:
+    """Put all scores below some folders together: an artefact of kind `report`.
+
+    Payload: `report.html` (one file, no script, nothing fetched), `report.md`, `figures/*.svg`, and `table.json`, which
+    holds every number of the page. Equal scores give equal bytes, wherever they lie.
+
+    Args:
+        config: title, split, reference, intervals.
+        sources: folders with scores at any depth; probes below them are shown, and policies, encoders, releases and
+            logs below them tell their configurations.
+        out: folder of the report.
+
+    Raises:
+        UsageError: if a source is no folder, or there are no scores of the split.
+        ArtefactError: if an artefact is damaged, contradicts itself, or is there twice.
+    """
+    config = check(config, source="options")
+    found = gather(sources, config.split)
+
+    def work(folder: Path) -> Mapping[str, Any]:
+        return _write(folder, config, found)
+
+    return artefacts.build(out, kind="report", config=config, parents=found.folders, work=work)
+
+
+def _write(folder: Path, config: ReportConfig, found: Sources) -> Mapping[str, Any]:
+    from gym_open.evaluate.report import notes, page, provenance
+    from gym_open.evaluate.report.figures import draw
+    from gym_open.evaluate.report.results import evaluate_runs
+
+    results = evaluate_runs(found.runs, config)
+    proven = provenance.proofs(found.runs)
+    settings, recipes = provenance.recipes(found.runs, found.configs)
+    content = page.Content(
+        title=config.title,
+        config=to_dict(config),
+        results=results,
+        findings=list(notes.findings(results)),
+        notes=list(notes.notes(results, found.runs, proven, found.left_out)),
+        proofs=proven,
+        probes=[],
+        settings=settings,
+        recipes=recipes,
+        makers=_makers(found.runs),
+    )
+    figures = draw(results)
+    (folder / "figures").mkdir(exist_ok=True)
+    for figure in figures:
+        (folder / "figures" / figure.name).write_bytes(figure.svg)
+    (folder / "report.html").write_text(page.html(content, figures, config), encoding="utf-8")
+    (folder / "report.md").write_text(page.markdown(content, figures, config), encoding="utf-8")
+    (folder / "table.json").write_bytes(artefacts.canonical_json(content))
+    return {"agents": results.agents, "tasks": results.tasks, "split": config.split, "scores": len(found.runs)}
+
+
+def _makers(runs: Sequence[Run]) -> list[dict[str, Any]]:
+    """What made the scores: distinct code, packages and hardware, with the number of scores of each."""
+    counted: dict[bytes, dict[str, Any]] = {}
+    for run in runs:
+        made = {
+            "code": one_line(run.lineage.code),
+            "packages": {one_line(name): one_line(version) for name, version in run.lineage.packages.items()},
+            "hardware": {one_line(name): one_line(str(value)) for name, value in run.record.hardware.items()},
+        }
+        counted.setdefault(msgspec.json.encode(made, order="sorted"), made | {"scores": 0})["scores"] += 1
+    return [counted[key] for key in sorted(counted)]

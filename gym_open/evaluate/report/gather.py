@@ -1,0 +1,223 @@
+"""Scores, probes and configurations found below some folders, checked byte by byte before anything is believed."""
+
+import functools
+import os
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from gym_open import artefacts
+from gym_open.artefacts import CONFIG, MANIFEST, Lineage
+from gym_open.envs.puzzles import TASKS
+from gym_open.envs.puzzles.sets import PER_SET, Split
+from gym_open.errors import ArtefactError, UsageError
+from gym_open.evaluate.metrics import a_success
+from gym_open.evaluate.scores import EPISODES, RECORD, Scores, read_episodes, read_scores
+from gym_open.files import sha256_file
+from gym_open.terminal import printable
+
+PROBE = "probe.json"
+UNTRAINED = ("random", "oracle", "human")
+"""Agents that no training made."""
+_LONGEST = 80
+"""Characters of a name that are shown."""
+_SAME = 1e-9
+"""How far a number in scores.json may be from what its episodes give: rounding of sums, no more."""
+
+
+def one_line(text: str) -> str:
+    """Text from a file on one line, nothing hidden in it, and not endless."""
+    shown = printable(text).replace("\n", " ")
+    return shown if len(shown) <= _LONGEST else f"{shown[:_LONGEST]}…"
+
+
+@dataclass(frozen=True)
+class Run:
+    """One scores artefact."""
+
+    folder: Path
+    digest: str
+    lineage: Lineage
+    record: Scores
+    config_sha256: str
+    puzzles: tuple[str, ...]
+    """Ids, in the order of the rows of `returns`."""
+    returns: np.ndarray
+    """Return of each puzzle within 1…N actions, shape (puzzles, N)."""
+    values: np.ndarray
+    """A-Success of each puzzle, shape (puzzles,)."""
+
+    @property
+    def name(self) -> str:
+        """The agent, with what sets its scores apart from others of that name: a row of the report."""
+        parts = [self.record.agent]
+        if self.record.actions == "greedy":
+            parts.append("greedy")
+        if len(self.puzzles) < PER_SET:
+            first, last = self.puzzles[0].rpartition("/")[2], self.puzzles[-1].rpartition("/")[2]
+            parts.append(f"puzzles {first}–{last}")
+        return one_line(", ".join(parts))
+
+    @property
+    def seed(self) -> int | str:
+        """What tells this run from the others of its row: training seed, or player."""
+        player = self.lineage.facts.get("player")
+        return one_line(str(player)) if player else self.record.seed or 0
+
+    @property
+    def trained(self) -> int:
+        """Training steps of the weights that were scored."""
+        return self.record.trained
+
+    @property
+    def identity(self) -> tuple[str, str, str, int]:
+        """No two runs of a report have the same."""
+        return self.record.task, self.name, str(self.seed), self.trained
+
+
+@dataclass(frozen=True)
+class Probe:
+    """One probe artefact."""
+
+    digest: str
+    lineage: Lineage
+    record: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Sources:
+    """All that a report is made of."""
+
+    runs: list[Run]
+    probes: list[Probe]
+    configs: dict[str, dict[str, Any]]
+    """Configurations by SHA-256 of their file: lineages name them so."""
+    folders: list[Path]
+    """Of the scores and probes, in the order of `runs` and `probes`."""
+    left_out: list[str]
+    """What was found and not taken, and why."""
+
+
+def gather(sources: Sequence[Path], split: Split) -> Sources:
+    """Find all scores and probes below the folders, check them, and read them.
+
+    Unfinished artefacts (hidden folders) are passed by. Of two scores of one agent, task, seed and training length, one
+    that `build` had set aside (NAME-1 beside NAME) or that says the same is left out; any other such pair is an error.
+
+    Raises:
+        UsageError: if a source is no folder, or holds no scores of the split.
+        ArtefactError: if an artefact is damaged, cannot be read, contradicts itself, or doubles another.
+    """
+    found = dict.fromkeys(path for source in sources for path in _artefacts(source))
+    runs, probes, left_out = dict[str, Run](), dict[str, tuple[Path, Probe]](), list[str]()
+    other = 0
+    for folder in found:
+        if (folder / RECORD).is_file():
+            run = _run(folder)
+            if run.record.split == split:
+                runs.setdefault(run.digest, run)
+            else:
+                other += 1
+        elif (folder / PROBE).is_file():
+            probe = _probe(folder)
+            probes.setdefault(probe.digest, (folder, probe))
+    if other:
+        left_out.append(f"{other} scores on another split than {split!r} were found and left out.")
+    if not runs:
+        names = ", ".join(map(str, sources))
+        raise UsageError(f"{names}: no scores of the {split} puzzles below; make some with `gym-open evaluate`")
+    kept, aside = _without_set_aside(list(runs.values()))
+    if aside:
+        left_out.append(f"{aside} scores that newer ones had set aside (NAME-1 beside NAME) were left out.")
+    kept.sort(key=lambda run: (TASKS.index(run.record.task), run.identity))
+    ordered = sorted(probes.values(), key=lambda item: item[1].digest)
+    return Sources(
+        runs=kept,
+        probes=[probe for _, probe in ordered],
+        configs={sha256_file(folder / CONFIG): artefacts.config_of(folder) for folder in found},
+        folders=[run.folder for run in kept] + [folder for folder, _ in ordered],
+        left_out=left_out,
+    )
+
+
+def _artefacts(source: Path) -> Iterator[Path]:
+    """Folders with a manifest and a configuration, in the order of their names; none below another, none hidden."""
+    if not source.is_dir():
+        raise UsageError(f"{source}: no such folder; give folders that hold scores")
+    for folder, below, files in os.walk(source):
+        below[:] = [] if MANIFEST in files else sorted(name for name in below if not name.startswith("."))
+        if MANIFEST in files and CONFIG in files:
+            yield Path(folder).resolve()
+
+
+def _run(folder: Path) -> Run:
+    record = read_scores(folder)
+    puzzles, rewards = _episodes(folder, len(record.mean_return_within))
+    returns = np.cumsum(rewards, axis=1)
+    values = returns @ _weights(returns.shape[1])
+    for key, said, found in (("a_success", record.a_success, values.mean()), ("puzzles", record.puzzles, len(puzzles))):
+        if abs(said - found) > _SAME:
+            raise ArtefactError(f"{folder / RECORD}: `{key}` is {said}, but {EPISODES} gives {found}; evaluate again")
+    return Run(
+        folder=folder, digest=artefacts.digest(folder), lineage=artefacts.lineage(folder), record=record,
+        config_sha256=sha256_file(folder / CONFIG), puzzles=puzzles, returns=returns, values=values,
+    )  # fmt: skip
+
+
+@functools.cache
+def _weights(budget: int) -> np.ndarray:
+    """A-Success is linear in s_1…s_N: its value at each unit vector is the weight there."""
+    return np.array([a_success(unit) for unit in np.eye(budget)])
+
+
+def _episodes(folder: Path, budget: int) -> tuple[tuple[str, ...], np.ndarray]:
+    """Ids of the puzzles, and rewards (puzzles, budget) with zeros behind an episode's end."""
+    rows = read_episodes(folder)
+    rewards = np.zeros((len(rows), budget))
+    for i, row in enumerate(rows):
+        try:
+            rewards[i, : len(row["rewards"])] = row["rewards"]
+        except (ValueError, TypeError) as error:
+            raise ArtefactError(f"{folder / EPISODES}: row {i}: not rewards of {budget} actions ({error})") from None
+    if not rows or not np.isfinite(rewards).all():
+        raise ArtefactError(f"{folder / EPISODES}: no rows, or rewards that are not finite; evaluate again")
+    return tuple(str(row["puzzle"]) for row in rows), rewards
+
+
+def _probe(folder: Path) -> Probe:
+    digest = artefacts.verify(folder, "probe")
+    return Probe(digest, artefacts.lineage(folder), _decode(folder / PROBE, dict[str, Any]))
+
+
+def _decode(path: Path, kind: Any) -> Any:
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=kind)
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ArtefactError(f"{path}: not readable: {error}; make the artefact again") from None
+
+
+def _without_set_aside(runs: list[Run]) -> tuple[list[Run], int]:
+    kept = dict[tuple[str, str, str, int], Run]()
+    for run in sorted(runs, key=lambda run: (len(run.folder.name), str(run.folder))):
+        first = kept.setdefault(run.identity, run)
+        if first is not run and not _is_set_aside(run.folder, first.folder) and not _is_same(run, first):
+            task, name, seed, trained = run.identity
+            raise ArtefactError(
+                f"{run.folder} and {first.folder}: both are scores of {name} on {task}, seed {seed}, {trained:,} steps"
+                "; give folders that hold only one of them"
+            )
+    return list(kept.values()), sum(_is_set_aside(run.folder, kept[run.identity].folder) for run in runs)
+
+
+def _is_same(run: Run, first: Run) -> bool:
+    """A policy's end is one of its checkpoints, perhaps, and was scored as both."""
+    return run.record.policy == first.record.policy and np.array_equal(run.returns, first.returns)
+
+
+def _is_set_aside(folder: Path, newer: Path) -> bool:
+    return folder.parent == newer.parent and re.fullmatch(re.escape(newer.name) + r"-\d+", folder.name) is not None

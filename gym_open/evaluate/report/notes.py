@@ -1,0 +1,123 @@
+"""What a reader must know before believing a report, told from the data: short sentences, only those that apply."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+
+from gym_open.envs.puzzles.sets import PER_SET
+from gym_open.evaluate.paper import PAPER_STEPS
+from gym_open.evaluate.report.gather import UNTRAINED, Run, one_line
+from gym_open.evaluate.report.provenance import Proven
+from gym_open.evaluate.report.results import Cell, Results
+from gym_open.evaluate.report.words import count, interval, number, signed, steps
+from gym_open.evaluate.statistics import least_p_value
+
+_FEW = 5
+"""Runs below which comparisons of agents are hardly ever firm."""
+
+
+def findings(results: Results) -> Iterator[str]:
+    """Two sentences a task: who is best, and who differs from the reference beyond the interval of the difference."""
+    for task in results.tasks:
+        cells = [cell for cell in results.cells if cell.task == task]
+        trained = [cell for cell in cells if cell.agent.split(",")[0] not in UNTRAINED]
+        if not trained:
+            continue
+        best = max(trained, key=lambda cell: cell.score.value)
+        others = ", ".join(
+            f"{cell.agent} {number(cell.score.value)}"
+            for cell in cells
+            if cell.agent in (*UNTRAINED, results.reference) and cell is not best
+        )
+        text = f"{task}: best of those trained is {best.agent} with {number(best.score.value)} {interval(best.score)}"
+        yield text + (f" ({others})." if others else ".") + _gains(trained, results.reference)
+
+
+def _gains(trained: Sequence[Cell], reference: str | None) -> str:
+    compared = [(cell.agent, cell.gain) for cell in trained if cell.gain is not None]
+    if not compared or reference is None:
+        return ""
+    firm = [
+        f"{agent} {'above' if gain.value > 0 else 'below'} it by {signed(gain)}"
+        for agent, gain in compared
+        if (gain.low or 0) > 0 or (gain.high or 0) < 0
+    ]
+    if not firm:
+        return f" No other is told apart from {reference}: every interval of a difference holds 0."
+    return f" Told apart from {reference}: {'; '.join(firm)}."
+
+
+def notes(results: Results, runs: Sequence[Run], proven: Sequence[Proven], left_out: Sequence[str]) -> Iterator[str]:
+    """Everything that weakens what the tables say."""
+    yield from _on_runs(results)
+    yield from _on_comparisons(results)
+    yield from _on_proofs(proven)
+    yield from _on_makers(runs)
+    if any(cell.paper for cell in results.cells):
+        yield (
+            "The paper's numbers come from its own simulator, another implementation of the same tasks, after "
+            f"{PAPER_STEPS:,} steps; it does not say of what kind its ± is. Compare orders and gaps rather than digits."
+        )
+    yield from left_out
+    yield from results.left_behind
+
+
+def _on_runs(results: Results) -> Iterator[str]:
+    trained = [cell for cell in results.cells if cell.agent.split(",")[0] not in UNTRAINED]
+    single = Counter(cell.agent for cell in trained if len(cell.seeds) == 1)
+    if single:
+        names = ", ".join(single)
+        yield (
+            f"One seed only on some task or all: {names}. There is no deviation then, and the interval is over puzzles "
+            "alone: it says nothing of another training seed."
+        )
+    budgets = sorted({cell.trained for cell in trained})
+    if len(budgets) > 1:
+        listed = ", ".join(map(steps, budgets))
+        yield f"Agents were trained for different lengths ({listed} steps): their scores differ for that reason, too."
+    holes = [
+        f"{agent} on {task}"
+        for agent in results.agents
+        for task in results.tasks
+        if agent.split(",")[0] not in UNTRAINED and results.cell(agent, task) is None
+    ]
+    if holes:
+        yield f"Not scored: {', '.join(holes)}. Figures over tasks take the tasks that an agent has."
+
+
+def _on_comparisons(results: Results) -> Iterator[str]:
+    runs = [len(cell.seeds) for cell in results.cells if cell.agent.split(",")[0] not in UNTRAINED]
+    if len(runs) > 1 and min(runs) < _FEW:
+        n = min(runs)
+        yield (
+            f"With {count(n, 'run')} a task and agent, even complete separation of two agents on one task has p = "
+            f"{number(least_p_value(n, n), 2)} by Mann and Whitney's exact test. Bootstrap intervals of so few runs "
+            "are too narrow."
+        )
+    if any(aggregate.runs < 4 for aggregate in results.aggregates):
+        yield "Of fewer than four scores the interquartile mean cuts none: it is the mean of the scores then."
+
+
+def _on_proofs(proven: Sequence[Proven]) -> Iterator[str]:
+    missing = [one for one in proven if one.verdict == "missing"]
+    for agent in dict.fromkeys(one.agent for one in missing):
+        yield f"Nothing certifies that the encoder of {agent} is task-free: see the proof below."
+    for one in proven:
+        if one.recorded:
+            yield (
+                f"Scores of {one.agent} say of themselves {', '.join(map(repr, one.recorded))}; walked again, their "
+                f"records say {one.verdict!r}, which is what stands here."
+            )
+
+
+def _on_makers(runs: Sequence[Run]) -> Iterator[str]:
+    codes = Counter(one_line(run.lineage.code) for run in runs)
+    if len(codes) > 1:
+        listed = ", ".join(f"{code} ({count(n, 'score')})" for code, n in sorted(codes.items()))
+        yield f"Scored by {len(codes)} versions of the code: {listed}."
+    seeds = {run.record.evaluation_seed for run in runs if run.record.agent not in UNTRAINED}
+    if len(seeds) > 1:
+        listed = ", ".join(sorted(map(str, seeds)))
+        yield f"Policies' actions were drawn with different evaluation seeds ({listed})."
+    short = sorted({run.name for run in runs if len(run.puzzles) < PER_SET})
+    if short:
+        yield f"Fewer than {PER_SET} puzzles were played by: {', '.join(short)}. Other rows are of more puzzles."

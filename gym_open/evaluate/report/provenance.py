@@ -1,0 +1,220 @@
+"""Where the scores of a report come from: proofs, configurations, and the commands that make them again."""
+
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import msgspec
+import tomli_w
+
+from gym_open.artefacts import CONFIG, Lineage, Parent, canonical_json
+from gym_open.evaluate.proof import Proof, task_free_proof
+from gym_open.evaluate.report.gather import UNTRAINED, Run, one_line
+from gym_open.terminal import printable
+
+_VARIES = ("seed", "task", "agent")
+"""Keys that commands give as options, so that one file serves all runs."""
+_STAGES = {"log": "collect", "release": "release", "encoder": "encoder", "policy": "policy"}
+"""Name of a configuration file, by kind of artefact."""
+
+
+class Proven(msgspec.Struct, frozen=True):
+    """The proof of some runs of an agent, walked again for the report."""
+
+    agent: str
+    runs: list[str]
+    """Task and seed of each."""
+    verdict: str
+    reasons: list[str]
+    chains: list[list[str]]
+    """Links of each run, from the policy down to the logs."""
+    rests_on: str
+    recorded: list[str]
+    """Verdicts in the scores, where they differ from this one."""
+
+
+class Setting(msgspec.Struct, frozen=True):
+    """A configuration that some runs share, apart from seed, task and agent's name."""
+
+    name: str
+    """Of its file in the commands."""
+    kind: str
+    agents: list[str]
+    toml: str | None
+    """None: it is not among the sources."""
+    sha256: list[str]
+    """Of the `config.json` files that hold it."""
+
+
+class Recipe(msgspec.Struct, frozen=True):
+    """How to make an agent's scores again."""
+
+    agent: str
+    tasks: list[str]
+    seeds: list[str]
+    commands: list[str]
+
+
+def proofs(runs: Sequence[Run]) -> list[Proven]:
+    """The task-free proof of every run, equal ones of an agent together."""
+    groups: dict[tuple[str, str, tuple[str, ...], str], list[tuple[Run, Proof]]] = {}
+    for run in runs:
+        proof = _proof(run)
+        reasons = tuple(map(printable, proof.reasons))
+        rests_on = printable(proof.rests_on).replace(run.record.policy or "\n", "shown below")
+        groups.setdefault((run.name, proof.verdict, reasons, rests_on), []).append((run, proof))
+    return [
+        Proven(
+            agent=agent, verdict=verdict, reasons=list(reasons), rests_on=rests_on,
+            runs=[_label(run) for run, _ in members],
+            chains=[[one_line(link) for link in proof.chain] for _, proof in members],
+            recorded=sorted({run.record.proof.verdict for run, _ in members} - {verdict}),
+        )
+        for (agent, verdict, reasons, rests_on), members in groups.items()
+    ]  # fmt: skip
+
+
+def _label(run: Run) -> str:
+    policy = f", policy {one_line(run.record.policy)}" if run.record.policy else ""
+    return f"{run.record.task}, seed {run.seed}, {run.trained:,} steps{policy}"
+
+
+def _proof(run: Run) -> Proof:
+    """Walked in the records that the scores carry, whatever scores.json says."""
+    if run.record.agent in UNTRAINED:
+        return run.record.proof
+    if not run.lineage.parents:
+        reason = "its lineage names no policy, so nothing is known of what played"
+        return Proof(verdict="missing", reasons=[reason], chain=[])
+    return task_free_proof(run.lineage.parents[0])
+
+
+class _Link(msgspec.Struct, frozen=True):
+    """An artefact of a chain, or the scores at its head."""
+
+    run: Run
+    place: str
+    """The kinds on the way to it, which is what tells the links of a chain apart: `policy/encoder/release`."""
+    kind: str
+    sha256: str
+    config: dict[str, Any] | None
+    parents: list["_Link"]
+
+    @property
+    def shared(self) -> bytes | None:
+        """What makes two configurations one file."""
+        if self.config is None:
+            return None
+        return canonical_json({key: value for key, value in self.config.items() if key not in _VARIES})
+
+    def walk(self) -> Iterator["_Link"]:
+        """Inputs first."""
+        for parent in self.parents:
+            yield from parent.walk()
+        yield self
+
+
+def recipes(runs: Sequence[Run], configs: Mapping[str, dict[str, Any]]) -> tuple[list[Setting], list[Recipe]]:
+    """The distinct configurations behind some runs, and the commands for every agent.
+
+    Args:
+        runs: scores.
+        configs: configurations by SHA-256 of their file.
+    """
+    chains = [_chain(run, configs) for run in runs if run.record.agent not in ("human", "oracle")]
+    links = [link for chain in chains for link in chain.walk()]
+    named: dict[tuple[str, bytes | str], Setting] = {}
+    for link in links:
+        key = (link.kind, link.shared or link.sha256)
+        if key not in named:
+            number = sum(kind == link.kind for kind, _ in named) + 1
+            named[key] = Setting(
+                name=f"{_STAGES.get(link.kind, 'evaluate')}-{number}.toml", kind=link.kind, agents=[],
+                toml=None if link.config is None else _toml(link.config), sha256=[],
+            )  # fmt: skip
+        setting = named[key]
+        for values, value in ((setting.agents, link.run.name), (setting.sha256, link.sha256)):
+            if value not in values:
+                values.append(value)
+    recipes = []
+    for agent in dict.fromkeys(run.name for run in runs):
+        own = [run for run in runs if run.name == agent]
+        heads = [chain for chain in chains if chain.run.name == agent]
+        recipes.append(
+            Recipe(
+                agent=agent,
+                tasks=list(dict.fromkeys(run.record.task for run in own)),
+                seeds=list(dict.fromkeys(str(run.seed) for run in own)),
+                commands=_commands(own[0], heads, named),
+            )
+        )
+    return list(named.values()), recipes
+
+
+def _chain(run: Run, configs: Mapping[str, dict[str, Any]]) -> _Link:
+    def link(parent: Parent | Lineage, sha256: str, place: str) -> _Link:
+        lineage = parent.lineage if isinstance(parent, Parent) else parent
+        place = f"{place}/{lineage.kind}"
+        below = [
+            link(one, one.manifest[CONFIG].sha256 if CONFIG in one.manifest else "", f"{place}{i or ''}")
+            for i, one in enumerate(lineage.parents)
+        ]
+        return _Link(run, place, lineage.kind, sha256, configs.get(sha256), below)
+
+    return link(run.lineage, run.config_sha256, "")
+
+
+def _commands(run: Run, heads: Sequence[_Link], named: Mapping[tuple[str, bytes | str], Setting]) -> list[str]:
+    """Of one run, with `$TASK` and `$SEED` for what varies; runs of an agent differ in nothing else."""
+    if run.record.agent == "oracle":
+        return [f"gym-open evaluate --task $TASK --split {run.record.split} --oracle --out scores"]
+    if run.record.agent == "human":
+        return [f"gym-open play --task $TASK --split {run.record.split} --player $SEED --out scores"]
+    follows: dict[str, bool] = {}
+    for head in heads:
+        for link in head.walk():
+            same = link.config is None or link.config.get("seed", head.run.seed) == head.run.seed
+            follows[link.place] = follows.get(link.place, True) and same
+    names: dict[str, str] = {}
+    lines = []
+    for link in heads[0].walk():
+        if link.place not in names:
+            names[link.place] = f"{link.kind}{'' if link.kind not in names.values() else f'-{len(names)}'}"
+            setting = named[link.kind, link.shared or link.sha256]
+            lines.append(_command(link, setting.name, names, follows=follows[link.place]))
+    return lines
+
+
+def _command(link: _Link, file: str, names: Mapping[str, str], *, follows: bool) -> str:
+    inputs = {one.kind: names[one.place] for one in link.parents}
+    every = " ".join(names[one.place] for one in link.parents)
+    match link.kind:
+        case "log":
+            words = "collect"
+        case "release" if inputs.keys() == {"log"}:
+            words = f"dataset build --logs {every}"
+        case "release":
+            return f"# {names[link.place]}: merged, filtered or appended from {every}; its rebuild/ folder says how"
+        case "encoder":
+            words = f"train encoder --release {every}"
+        case "policy":
+            words = f"train policy --encoder {every}" if every else "train policy"
+        case _:
+            words = f"evaluate --policy {every}" if every else "evaluate"
+    config = link.config or {}
+    task = " --task $TASK" if "task" in config else ""
+    agent = f" --agent {shlex.quote(one_line(str(config['agent'])))}" if config.get("agent") else ""
+    seed = "" if "seed" not in config else " --seed $SEED" if follows else f" --seed {config['seed']}"
+    return f"gym-open {words} --config {file}{task}{agent}{seed} --out {names[link.place]}"
+
+
+def _toml(config: Mapping[str, Any]) -> str:
+    """What can be given with `--config`; TOML has no null, and a key left out is its default."""
+    kept = {key: value for key, value in config.items() if key not in _VARIES}
+    return printable(tomli_w.dumps(_without_null(kept)).strip())
+
+
+def _without_null(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_null(one) for key, one in value.items() if one is not None}
+    return [_without_null(one) for one in value if one is not None] if isinstance(value, list) else value

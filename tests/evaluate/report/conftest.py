@@ -1,0 +1,154 @@
+"""Hand-made scores of agents whose skill is known: the shape of a real grid, without a simulator."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gym_open import artefacts
+from gym_open.artefacts import Parent
+from gym_open.config import Config
+from gym_open.envs.puzzles import Puzzle, Task
+from gym_open.envs.puzzles.sets import puzzle_id, puzzles_of
+from gym_open.evaluate.proof import Proof, oracle_proof, task_free_proof
+from gym_open.evaluate.scores import Episodes, Scores, summarise, write_episodes, write_scores
+
+MakeScores = Callable[..., Path]
+HARDWARE: dict[str, str | int] = {"processor": "An Abacus", "cores": 2, "threads": 1, "device": "cpu"}
+N = {"goal-seeking": 100, "preferences": 100, "avoidance": 100, "tool-use": 200}
+
+
+class Made(Config, frozen=True):
+    """Stands for any stage's configuration."""
+
+    name: str
+    seed: int = 0
+    task: str = ""
+    agent: str = ""
+
+
+def artefact(
+    out: Path, kind: str, parents: Sequence[Path], facts: Mapping[str, Any], config: Config, *files: str
+) -> Path:
+    def work(folder: Path) -> Mapping[str, Any]:
+        for file in files:
+            (folder / file).parent.mkdir(exist_ok=True)
+            (folder / file).write_text(kind)
+        return facts
+
+    return artefacts.build(out, kind=kind, config=config, parents=parents, work=work).path
+
+
+def make_policy(root: Path, agent: str, task: str, seed: int, steps: int, *, log_task: str = "sandbox") -> Path:
+    """A policy with records as `gym-open` writes them; of an agent with a `+` in its name the whole chain to a log."""
+    parents = []
+    if "+" in agent:
+        facts = {"task": log_task, "extrinsic_reward": False, "puzzles": ["0" * 64]}
+        log = artefact(
+            root / agent / f"log-{seed}",
+            "log",
+            [],
+            facts,
+            Made(name=agent, seed=seed),
+            "stream-000-000.mcap",
+            "summary.json",
+        )
+        release = artefact(
+            root / agent / f"release-{seed}",
+            "release",
+            [log],
+            {"logs": [artefacts.digest(log)]},
+            Made(name=agent),
+            "meta/info.json",
+        )
+        model = ("model.safetensors", "model.json")
+        parents = [
+            artefact(root / agent / f"encoder-{seed}", "encoder", [release], {}, Made(name=agent, seed=seed), *model)
+        ]
+    facts = {
+        "task": task, "agent": agent, "seed": seed, "steps": steps, "checkpoints": [], "from_encoder": bool(parents),
+        "encoder": "offline" if parents else "none", "frozen": False, "hardware": HARDWARE,
+    }  # fmt: skip
+    config = Made(name="ppo", seed=seed, task=task, agent=agent)
+    return artefact(
+        root / agent / f"policy-{task}-{seed}", "policy", parents, facts, config, "model.safetensors", "model.json"
+    )
+
+
+def episodes_of(task: str, skill: float, seed: int, puzzles: int) -> Episodes:
+    """Every puzzle is solved with probability `skill`, at a time that is uniform; some puzzles are easier for all."""
+    rng, budget = np.random.default_rng(seed), N[task]
+    solved = rng.uniform(size=puzzles) < skill
+    steps = np.where(solved, rng.integers(1, budget // 2 + 1, puzzles), budget)
+    rewards = np.zeros((puzzles, budget))
+    rewards[solved, steps[solved] - 1] = 1.0
+    return Episodes(actions=np.ones((puzzles, budget), np.int8), rewards=rewards, steps=steps, terminated=solved)
+
+
+def write_run(
+    out: Path, *, agent: str, task: Task = "goal-seeking", seed: int | None = 0, trained: int = 0, skill: float = 0.5,
+    policy: Path | None = None, actions: str = "sampled", split: Any = "test", puzzles: int = 100,
+    draw: int | None = None,
+    facts: Mapping[str, Any] | None = None, change: Mapping[str, Any] | None = None,
+) -> Path:  # fmt: skip
+    """A scores artefact; `change` overwrites fields of scores.json."""
+    proof = oracle_proof() if agent == "oracle" else task_free_proof(policy and link(policy))
+    if agent == "human":
+        proof = Proof(verdict="no encoder", reasons=["a person played"], chain=[])
+    drawn = episodes_of(task, skill, draw if draw is not None else hash_of(agent, task, seed, trained), puzzles)
+    who = {
+        "task": task, "split": split, "agent": agent, "seed": seed, "evaluation_seed": 0, "trained": trained,
+        "actions": actions, "policy": artefacts.digest(policy) if policy else None, "proof": proof,
+        "code": "0.1.0+test", "hardware": HARDWARE, **summarise(drawn),
+    }  # fmt: skip
+
+    def work(folder: Path) -> Mapping[str, Any]:
+        write_scores(folder, Scores(**who), change)
+        own: tuple[Puzzle, ...] = puzzles_of(task, split)[:puzzles]
+        write_episodes(folder, [puzzle_id(task, split, i) for i in range(puzzles)], own, drawn)
+        return {"task": task, "split": split, "agent": agent, **(facts or {})}
+
+    config = Made(
+        name=f"{agent}-{trained}-{actions}-{skill}-{draw}-{sorted((change or {}).items())}", seed=seed or 0, task=task
+    )
+    return artefacts.build(out, kind="scores", config=config, parents=[policy] if policy else [], work=work).path
+
+
+def link(folder: Path) -> Parent:
+    return Parent(artefacts.digest(folder), artefacts.manifest(folder), artefacts.lineage(folder))
+
+
+def hash_of(*names: Any) -> int:
+    from gym_open import seeding
+
+    return seeding.integer(0, *map(str, names))
+
+
+@pytest.fixture(scope="module")
+def grid(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two agents, two tasks, two seeds, two checkpoints; random, oracle; nothing else."""
+    return make_grid(tmp_path_factory.mktemp("grid"), ("scratch", "curl+ride"), ("goal-seeking", "tool-use"), (0, 1))
+
+
+def make_grid(
+    root: Path, agents: Sequence[str], tasks: Sequence[Task], seeds: Sequence[int], *,
+    lengths: Sequence[int] = (200_704, 1_003_520), skills: Mapping[str, float] | None = None,
+) -> Path:  # fmt: skip
+    """Scores of every agent, task, seed and length below `root/scores`, and their policies below `root/made`."""
+    for task in tasks:
+        for agent in agents:
+            for seed in seeds:
+                policy = make_policy(root / "made", agent, task, seed, lengths[-1])
+                for i, trained in enumerate(lengths):
+                    skill = (skills or {}).get(agent, 0.6) * (i + 1) / len(lengths)
+                    write_run(
+                        root / "scores" / agent / f"{task}-{seed}-{trained}", agent=agent, task=task, seed=seed,
+                        trained=trained, skill=skill, policy=policy,
+                    )  # fmt: skip
+        write_run(root / "scores" / f"random-{task}", agent="random", task=task, skill=0.1)
+        write_run(
+            root / "scores" / f"oracle-{task}", agent="oracle", task=task, skill=1.0, seed=None, actions="witnesses"
+        )
+    return root
