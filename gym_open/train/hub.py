@@ -1,0 +1,181 @@
+"""Encoders on a Hugging Face hub, through `huggingface_hub`'s mixin."""
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Self
+
+import msgspec
+import torch
+from huggingface_hub import ModelCard, PyTorchModelHubMixin, snapshot_download
+from huggingface_hub.errors import HFValidationError, LocalEntryNotFoundError
+from huggingface_hub.utils import validate_repo_id  # pyright: ignore[reportPrivateImportUsage]
+
+from gym_open import artefacts
+from gym_open.agents.config import EncoderConfig
+from gym_open.agents.encoder import Encoder
+from gym_open.artefacts import MANIFEST, Lineage
+from gym_open.config import to_dict
+from gym_open.errors import GymOpenError, UsageError
+from gym_open.formats.models import ARCHITECTURE, WEIGHTS, load_encoder, save_encoder
+from gym_open.terminal import printable
+
+CARD = "README.md"
+
+
+class HubEncoder(
+    Encoder,
+    PyTorchModelHubMixin,
+    library_name="gym-open",
+    license="mit",
+    tags=["feature-extraction", "reinforcement-learning"],
+    coders={EncoderConfig: (to_dict, lambda data: msgspec.convert(data, EncoderConfig))},
+):
+    """An encoder with `save_pretrained`, `from_pretrained` and `push_to_hub`.
+
+    Made of an artefact it takes the whole artefact along, so that what is fetched can still prove where it comes from.
+
+    Args:
+        encoder: the network; the mixin keeps it in `config.json`.
+    """
+
+    artefact: Path | None = None
+
+    def __init__(self, encoder: EncoderConfig) -> None:
+        super().__init__(encoder, torch.Generator())
+
+    @classmethod
+    def of(cls, artefact: Path) -> Self:
+        """The encoder in the folder `artefact`.
+
+        Raises:
+            ArtefactError: if a file is missing or damaged.
+        """
+        source = load_encoder(artefact)
+        made = cls(encoder=source.config)
+        made.load_state_dict(source.state_dict())
+        return made
+
+    def _save_pretrained(self, save_directory: Path) -> None:
+        if self.artefact is None:
+            save_encoder(save_directory, self)
+            return
+        for name in _files(self.artefact):
+            (save_directory / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(self.artefact / name, save_directory / name)
+
+    @classmethod
+    def _from_pretrained(  # pyright: ignore[reportIncompatibleMethodOverride]  (what is left out makes no difference)
+        cls,
+        *,
+        model_id: str,
+        revision: str | None = None,
+        cache_dir: str | Path | None = None,
+        force_download: bool = False,
+        local_files_only: bool = False,
+        token: str | bool | None = None,
+        **_: object,
+    ) -> Self:
+        """As `load_encoder` has it: every tensor checked, and never a pickle, which the mixin would fall back to."""
+        folder = Path(model_id)
+        if not folder.is_dir():
+            fetched = snapshot_download(
+                model_id, allow_patterns=[ARCHITECTURE, WEIGHTS], revision=revision, cache_dir=cache_dir,
+                force_download=force_download, local_files_only=local_files_only, token=token,
+            )  # fmt: skip
+            folder = Path(fetched)
+        return cls.of(folder)
+
+    def generate_model_card(self, *_: object, repository: str = "OWNER/NAME", **__: object) -> ModelCard:
+        """What the network is, how to use it, and what it was learned from."""
+        lines = ["---", self._hub_mixin_info.model_card_data.to_yaml(), "---", "", *self._described(repository)]
+        if self.artefact is not None:
+            lines += ["", *_origin(artefacts.digest(self.artefact), artefacts.lineage(self.artefact))]
+        return ModelCard("\n".join(lines) + "\n")
+
+    def _described(self, repository: str) -> list[str]:
+        config = self.config
+        return [
+            "# A picture encoder of gym-open", "",
+            f"Network `{config.architecture}`: 84×84 RGB pictures of OPEn's table to {config.features} features.", "",
+            "```python", "from gym_open.train.hub import HubEncoder", "",
+            f'encoder = HubEncoder.from_pretrained("{repository}")',
+            f"features = encoder.encode(images)  # (B, 84, 84, 3) uint8 to (B, {config.features}) float32", "```",
+        ]  # fmt: skip
+
+
+def push_encoder(encoder: Path, repository: str, *, online: bool) -> list[str]:
+    """Send the encoder artefact `encoder`, whole, with a card, to a model repository of a hub.
+
+    What is there already is replaced; the repository's history still has it. The hub is the one that HF_ENDPOINT
+    names, or huggingface.co; the token is what `hf auth login` stored, or HF_TOKEN.
+
+    Args:
+        encoder: an encoder artefact; every byte is checked first.
+        repository: OWNER/NAME, made if it is missing.
+        online: without it nothing touches a network.
+
+    Returns:
+        What was sent, or would be, line by line.
+
+    Raises:
+        ArtefactError: if the encoder is damaged.
+        UsageError: if the repository is not called OWNER/NAME.
+        GymOpenError: if the hub cannot be reached, or refuses.
+    """
+    digest = artefacts.verify(encoder, "encoder")
+    check_repository(repository)
+    model = HubEncoder.of(encoder)
+    model.artefact = encoder
+    plan = [f"{(encoder / name).stat().st_size:>13,}  {name}" for name in sorted(_files(encoder))]
+    plan.append(f"{len(str(model.generate_model_card(repository=repository)).encode()):>13,}  {CARD}")
+    if online:
+        try:
+            address = model.push_to_hub(
+                repository, commit_message=f"Encoder {digest[:16]}", model_card_kwargs={"repository": repository},
+                delete_patterns="*",
+            )  # fmt: skip
+        except (OSError, RuntimeError, ValueError, LocalEntryNotFoundError) as error:  # the client's errors are these
+            raise GymOpenError(
+                f"{repository}: nothing was pushed ({type(error).__name__}: {str(error)[:300]}); check the name and "
+                "the network, log in with `hf auth login`, and run the same command again"
+            ) from error
+        plan.append(f"sent to {address}")
+    else:
+        plan.append(f"encoder {digest[:16]} to {repository}")
+    return plan
+
+
+def check_repository(repository: str) -> None:
+    """Raise UsageError unless `repository` is OWNER/NAME as hubs have it."""
+    try:
+        validate_repo_id(repository)
+    except HFValidationError:
+        valid = False
+    else:
+        valid = repository.count("/") == 1
+    if not valid:
+        raise UsageError(f"a repository must be OWNER/NAME, got {repository!r}")
+
+
+def _files(artefact: Path) -> list[str]:
+    return [*artefacts.manifest(artefact), MANIFEST]
+
+
+def _origin(digest: str, lineage: Lineage) -> Iterator[str]:
+    yield "## Where it comes from"
+    yield ""
+    model, updates, frames = (printable(str(lineage.facts.get(name))) for name in ("world_model", "updates", "frames"))
+    yield f"Learned off-line by `{model}`: {updates} updates, on {frames} frames."
+    yield ""
+    yield f"- encoder `{digest}`, code `{printable(lineage.code)}`"
+    yield from _chain(lineage, 1)
+    yield ""
+    yield "All files but this one and the hub's own make an artefact that gym-open verifies and trains policies from."
+    yield "Its `lineage.json` names every puzzle that was played for it."
+
+
+def _chain(lineage: Lineage, depth: int) -> Iterator[str]:
+    for parent in lineage.parents:
+        yield f"{'  ' * depth}- {parent.lineage.kind} `{parent.digest}`"
+        yield from _chain(parent.lineage, depth + 1)
