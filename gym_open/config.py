@@ -8,7 +8,7 @@ import re
 import sys
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 from msgspec import Meta
@@ -91,6 +91,8 @@ def _explain(message: str, raw: dict[str, Any], kind: type[Config]) -> str:
         return f"unknown key `{'.'.join([*keys, key])}`; {hint}"
     for pattern, words in _WORDS.items():
         text = text.replace(f"`str` matching regex {pattern!r}", words)
+    if not keys:  # a check of the whole: it names what it found
+        return text
     value: Any = raw
     for key in keys:
         value = value.get(key) if isinstance(value, dict) else _item(value, key)
@@ -103,9 +105,10 @@ def _item(value: Any, key: str) -> Any:
 
 
 def _fields_at(kind: type[Config], keys: list[str]) -> list[str]:
+    inner: Any = kind
     for key in keys:
-        inner = kind.__annotations__.get(key)
-        if not (isinstance(inner, type) and issubclass(inner, Config)):
-            return []
-        kind = inner
-    return list(kind.__struct_fields__)
+        inner = get_args(inner)[0] if key.isdecimal() and get_args(inner) else get_type_hints(inner).get(key)
+        if get_origin(inner) is tuple or (isinstance(inner, type) and issubclass(inner, Config)):
+            continue
+        return []
+    return list(inner.__struct_fields__)

@@ -1,8 +1,16 @@
-"""What a person sees while work goes on: one progress bar with rate and remaining time."""
+"""What a person sees while work goes on: one progress bar with rate and remaining time.
 
+A process whose environment names a file in GYM_OPEN_PROGRESS also writes there, about once a second, how far its bar
+is: so many processes side by side can be watched.
+"""
+
+import os
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 
+import msgspec
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -19,6 +27,51 @@ from rich.text import Text
 
 console = Console(stderr=True)
 
+FILE = "GYM_OPEN_PROGRESS"
+"""Environment variable that names the file in which a process says how far it is."""
+_INTERVAL = 1.0
+"""Seconds between two writes of that file."""
+
+
+class Progressed(msgspec.Struct, frozen=True):
+    """How far a process is."""
+
+    done: int
+    total: int
+    rate: float
+    """Units a second since the bar was begun; 0 if nothing is known yet."""
+
+    @classmethod
+    def read(cls, path: Path) -> "Progressed | None":
+        """What the file at `path` says, or None if it says nothing that can be read."""
+        try:
+            return msgspec.json.decode(path.read_bytes(), type=cls)
+        except (OSError, msgspec.DecodeError):
+            return None
+
+
+class _Reporter:
+    """Writes how far a bar is into a file, now and then: a watcher must never slow or stop the work."""
+
+    def __init__(self, path: Path, done: int, total: int) -> None:
+        self.path, self.done, self.total = path, done, total
+        self.first, self.started = done, time.monotonic()
+        self.written = -_INTERVAL
+        self.advance(0)
+
+    def advance(self, amount: int) -> None:
+        """Count `amount` units, and write if it is time to."""
+        self.done += amount
+        now = time.monotonic()
+        if now - self.written < _INTERVAL and self.done < self.total:
+            return
+        self.written = now
+        rate = (self.done - self.first) / max(now - self.started, 1e-9)
+        beside = self.path.with_name(f"{self.path.name}.tmp")
+        with suppress(OSError):
+            beside.write_bytes(msgspec.json.encode(Progressed(self.done, self.total, rate)))
+            beside.replace(self.path)
+
 
 class _Rate(ProgressColumn):
     def render(self, task: Task) -> Text:
@@ -29,14 +82,16 @@ class _Rate(ProgressColumn):
 class Bar:
     """A running progress bar; `note` is a short live text (a loss, a score)."""
 
-    def __init__(self, progress: Progress, task: TaskID) -> None:
-        self._progress, self._task = progress, task
+    def __init__(self, progress: Progress, task: TaskID, reporter: _Reporter | None) -> None:
+        self._progress, self._task, self._reporter = progress, task, reporter
 
     def advance(self, amount: int = 1, note: str | None = None) -> None:
         """Move on by `amount` units."""
         if note is not None:
             self._progress.update(self._task, note=note)
         self._progress.advance(self._task, amount)
+        if self._reporter is not None:
+            self._reporter.advance(amount)
 
 
 @contextmanager
@@ -56,4 +111,5 @@ def bar(title: str, total: int, *, done: int = 0) -> Iterator[Bar]:
     )
     with Progress(*columns, console=console) as progress:
         task = progress.add_task(title, total=total, completed=done, note="")
-        yield Bar(progress, task)
+        file = os.environ.get(FILE)
+        yield Bar(progress, task, _Reporter(Path(file), done, total) if file else None)

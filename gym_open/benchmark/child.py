@@ -1,0 +1,99 @@
+"""A job as a process of its own, which ends when the runner ends."""
+
+import ctypes
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from gym_open import artefacts
+from gym_open.benchmark.plan import Job
+from gym_open.progress import FILE, Progressed
+
+PROGRAM = (sys.executable, "-m", "gym_open.cli")
+_TAIL = 10_000
+"""Bytes at the end of a log in which the reason of a failure is looked for."""
+_PR_SET_PDEATHSIG = 1
+
+
+class Child:
+    """The process of one job. What it prints is added to `NAME.log`, how far it is stands in `NAME.progress`."""
+
+    def __init__(self, job: Job, folder: Path) -> None:
+        self.job, self.log = job, folder / f"{job.name}.log"
+        self._progress = folder / f"{job.name}.progress"
+        self._progress.unlink(missing_ok=True)
+        self._sealed_before = _sealed(job)
+        self._started = time.monotonic()
+        with self.log.open("ab") as output:
+            output.write(f"$ {alone(job, folder)}\n".encode())
+            output.flush()
+            self._process = subprocess.Popen(  # noqa: S603  (our own command)
+                [*PROGRAM, *job.words(folder)],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env={**os.environ, "OMP_NUM_THREADS": "1", FILE: str(self._progress)},
+                start_new_session=True,
+                preexec_fn=_end_with_parent,  # noqa: PLW1509  (the runner has one thread, so it may be forked)
+            )
+
+    @property
+    def seconds(self) -> float:
+        """Since it was started."""
+        return time.monotonic() - self._started
+
+    def progress(self) -> Progressed | None:
+        """How far it is, if it has said so."""
+        return Progressed.read(self._progress)
+
+    def poll(self) -> int | None:
+        """Its exit code, or None while it runs."""
+        code = self._process.poll()
+        if code is not None:
+            self._progress.unlink(missing_ok=True)
+        return code
+
+    def has_made(self) -> bool:
+        """Whether the artefact is another than when it was started."""
+        return _sealed(self.job) != self._sealed_before
+
+    def end(self, sign: signal.Signals) -> None:
+        """Tell it to end, with all that it may have started, if it has not ended."""
+        if self.poll() is None:
+            os.killpg(self._process.pid, sign)
+
+    def reason(self) -> str:
+        """Why it failed: the last error that it told, else the last thing that it said, or the signal that ended it."""
+        code = self._process.returncode
+        if code < 0:
+            return f"ended by {signal.Signals(-code).name}"
+        with self.log.open("rb") as file:
+            file.seek(max(self.log.stat().st_size - _TAIL, 0))
+            lines = [line.strip("│ ") for line in file.read().decode(errors="replace").splitlines()]
+        told = [line for line in lines if re.search(r"\w", line)]
+        errors = [line.removeprefix("error: ") for line in told if line.startswith("error: ")]
+        return (errors or told)[-1]  # the command itself is always there
+
+
+def alone(job: Job, folder: Path) -> str:
+    """The command that runs a job by itself, as a person would type it."""
+    return f"OMP_NUM_THREADS=1 gym-open {shlex.join(job.words(folder))}"
+
+
+def _sealed(job: Job) -> int | None:
+    """When the job's artefact was sealed, in nanoseconds, or None if there is none."""
+    try:
+        return (job.out / artefacts.MANIFEST).stat().st_mtime_ns
+    except OSError:
+        return None
+
+
+def _end_with_parent() -> None:
+    """In a child: be ended when the runner dies, even if that is killed outright. Other systems have no such thing."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

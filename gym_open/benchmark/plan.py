@@ -1,0 +1,239 @@
+"""A benchmark's configuration becomes jobs: one command of `gym-open` each, and which other jobs it needs.
+
+What two agents share (a play, a release, an encoder) is one job. Nothing is started here, but everything is read and
+checked, so that what is wrong shows before hours of work and not after.
+"""
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+import msgspec
+
+from gym_open.benchmark.config import AgentConfig, BenchmarkConfig
+from gym_open.collect.config import CollectConfig
+from gym_open.config import Config, check, load, to_dict
+from gym_open.datasets.config import ReleaseConfig
+from gym_open.errors import ConfigError
+from gym_open.evaluate.config import EvaluateConfig
+from gym_open.train.config import EncoderTrainConfig, PolicyTrainConfig, ProbeConfig
+
+C = TypeVar("C", bound=Config)
+Stage = Literal["collect", "dataset build", "train encoder", "train probe", "train policy", "evaluate"]
+
+SPEEDS: dict[Stage, float] = {
+    "collect": 250, "dataset build": 500, "train encoder": 12, "train probe": 0.1, "train policy": 500, "evaluate": 15,
+}  # fmt: skip
+"""Units of a job (steps, steps, updates, probes, steps, puzzles) that one core does in a second, roughly."""
+START = 6.0
+"""Seconds until a job has imported what it needs, roughly."""
+_PUZZLES = 100
+
+
+@dataclass(frozen=True)
+class Job:
+    """One command that makes one artefact."""
+
+    name: str
+    """Of the job, and of its files."""
+    stage: Stage
+    """Sub-command of `gym-open`."""
+    out: Path
+    """Folder of the artefact."""
+    config: Config
+    """All of its configuration."""
+    units: int
+    """How much there is to do, in units of its stage."""
+    options: tuple[str, ...] = ()
+    """What the command is given besides its configuration and `out`."""
+    needs: tuple["Job", ...] = ()
+    """Jobs whose artefacts it reads."""
+
+    def words(self, folder: Path) -> list[str]:
+        """The command, after `gym-open`, where the job's configuration lies in `folder`."""
+        file = folder / f"{self.name}.toml"
+        return [*self.stage.split(), "--config", str(file), *self.options, "--out", str(self.out)]
+
+    def toml(self) -> str:
+        """The configuration as TOML, which has no word for nothing: what is None is left out, as its default is."""
+        import tomli_w
+
+        return tomli_w.dumps(_without_none(to_dict(self.config)))
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_none(inner) for key, inner in value.items() if inner is not None}
+    return value
+
+
+def make_plan(config: BenchmarkConfig, out: Path, *, root: Path) -> list[Job]:
+    """All jobs of a benchmark, each after those it needs.
+
+    Args:
+        config: what is to be compared.
+        out: folder of the benchmark; the jobs' artefacts lie in it as in a workspace.
+        root: workspace that the configuration files belong to.
+
+    Raises:
+        ConfigError: if a file is missing or wrong, or two different jobs would have one name.
+    """
+    planner = _Planner(config, out, root)
+    for seed in config.seeds:
+        for agent in config.agents:
+            for task in config.tasks:
+                planner.run(agent, task, seed)
+    for task in config.tasks:
+        planner.references(task)
+    return list(planner.jobs.values())
+
+
+class _Planner:
+    """Collects the jobs, each once."""
+
+    def __init__(self, config: BenchmarkConfig, out: Path, root: Path) -> None:
+        self.config, self.out, self.root = config, out, root
+        self.jobs: dict[str, Job] = {}
+        self.evaluation = self.read("evaluate", config.evaluate, EvaluateConfig, threads=1)
+
+    def read(self, field: str, file: str, kind: type[C], **changes: Any) -> C:
+        """A configuration of the workspace with some of its values replaced."""
+        path = self.root / file
+        if not path.is_file():
+            raise ConfigError(f"`{field}`: {path}: no such configuration file; give one of the workspace {self.root}")
+        changed = {name: value for name, value in changes.items() if value is not None}
+        return check(msgspec.structs.replace(load(path, kind), **changed), source=f"{path} as `{field}`")
+
+    def add(self, job: Job) -> Job:
+        """The job, or the same one if it is there already."""
+        there = self.jobs.setdefault(job.name, job)
+        if there != job:
+            raise ConfigError(
+                f"two different jobs would be called {job.name!r}: agents that share the name of a file, but not what "
+                "it says; give the files (or agents) other names"
+            )
+        return there
+
+    def play(self, agent: AgentConfig, seed: int) -> Job:
+        """Exploration, without a task."""
+        assert agent.collect is not None
+        steps = agent.collect_steps or self.config.collect_steps
+        config = self.read("collect", agent.collect, CollectConfig, steps=steps, seed=seed, threads=1)
+        name = f"{Path(agent.collect).stem}{f'-{agent.collect_steps}' if agent.collect_steps else ''}-seed{seed}"
+        out = self.out / "collect/logs" / name
+        return self.add(Job(f"collect-{name}", "collect", out, config, config.steps))
+
+    def encoder(self, agent: AgentConfig, seed: int) -> Job | None:
+        """What makes the encoder that the agent starts from: nothing, its play, or training from its play's release."""
+        if agent.collect is None:
+            return None
+        seed = seed if agent.play_seed is None else agent.play_seed
+        play = self.play(agent, seed)
+        made = play if agent.encoder is None else self.offline_encoder(agent, agent.encoder, play, seed)
+        if self.config.probe is not None:
+            probe = self.read("probe", self.config.probe, ProbeConfig, threads=1)
+            out = self.out / "train/probes" / made.out.name
+            options = ("--encoder", str(made.out))
+            self.add(Job(f"probe-{made.out.name}", "train probe", out, probe, 1, options, (made,)))
+        return made
+
+    def offline_encoder(self, agent: AgentConfig, file: str, play: Job, seed: int) -> Job:
+        """Play to a release, the release to an encoder."""
+        name = re.sub(r"[^a-z0-9-]", "-", play.out.name.lower())
+        release = self.read("release", agent.release, ReleaseConfig, name=f"open/{name}", version="1.0.0")
+        folder = self.out / "datasets" / release.name / release.version
+        logs = ("--logs", str(play.out), "--workers", "1", "--replace")
+        built = self.add(Job(f"release-{name}", "dataset build", folder, release, play.units, logs, (play,)))
+        updates = self.config.encoder_updates
+        config = self.read("encoder", file, EncoderTrainConfig, updates=updates, seed=seed, threads=1)
+        name = f"{Path(file).stem}-of-{play.out.name}"
+        options = ("--release", str(folder))
+        out = self.out / "train/encoders" / name
+        return self.add(Job(name, "train encoder", out, config, config.updates, options, (built,)))
+
+    def run(self, agent: AgentConfig, task: str, seed: int) -> None:
+        """One agent learns one task with one seed, and is scored at every checkpoint."""
+        made = self.encoder(agent, seed)
+        config = self.read(
+            "policy", agent.policy, PolicyTrainConfig,
+            task=task, seed=seed, threads=1, agent=agent.name, frozen=agent.frozen,
+            steps=self.config.policy_steps, checkpoints=self.config.checkpoints,
+        )  # fmt: skip
+        _check_network(agent, config, made)
+        name = f"{agent.name}-{task}-seed{seed}"
+        policy = self.add(
+            Job(
+                f"policy-{name}", "train policy", self.out / "train/policies" / name, config, config.steps,
+                ("--encoder", str(made.out)) if made else (), (made,) if made else (),
+            )
+        )  # fmt: skip
+        options = ("--policy", str(policy.out))
+        self.score(name, task, options, policy)
+        for at in before_the_end(config):
+            self.score(f"{name}-at{at}", task, (*options, "--at", str(at)), policy)
+
+    def references(self, task: str) -> None:
+        """What every agent's scores stand between: random actions and the planner's."""
+        self.score(f"random-{task}", task, ())
+        self.score(f"oracle-{task}", task, ("--oracle",))
+
+    def score(self, name: str, task: str, options: Sequence[str], *needs: Job) -> None:
+        """One evaluation."""
+        config = check(msgspec.structs.replace(self.evaluation, task=task), source="tasks")
+        out = self.out / "evaluate/scores" / name
+        self.add(Job(f"score-{name}", "evaluate", out, config, _PUZZLES, tuple(options), needs))
+
+
+def _check_network(agent: AgentConfig, policy: PolicyTrainConfig, made: Job | None) -> None:
+    """Raises ConfigError if the policy could not start from the encoder that `made` will make."""
+    match made.config if made else None:
+        case CollectConfig(explorer=explorer):
+            if explorer.world_model == "none":
+                raise ConfigError(
+                    f"agent {agent.name!r}: {agent.collect} has no world model, so its play ends without an encoder; "
+                    "give `encoder` in place of `online`"
+                )
+            network, file = explorer.encoder, agent.collect
+        case EncoderTrainConfig(encoder=network):
+            file = agent.encoder
+        case _:
+            return
+    for name, ours in to_dict(policy.encoder).items():
+        if (theirs := getattr(network, name)) != ours:
+            raise ConfigError(
+                f"agent {agent.name!r}: `encoder.{name}` is {ours!r} in {agent.policy} and {theirs!r} in {file}; a "
+                "policy that starts from an encoder has the same network: make the two agree"
+            )
+
+
+def before_the_end(config: PolicyTrainConfig) -> Iterator[int]:
+    """Checkpoints asked for whose weights are others than those at the end, and than one another's."""
+    rollout = config.num_envs * config.num_steps
+    seen = {-(-config.steps // rollout)}
+    for at in sorted(config.checkpoints):
+        number = -(-at // rollout)
+        if number < max(seen) and number not in seen:
+            seen.add(number)
+            yield at
+
+
+def seconds(job: Job, speeds: dict[Stage, float]) -> float:
+    """How long a job takes, roughly."""
+    return START + job.units / speeds[job.stage]
+
+
+def chains(jobs: Sequence[Job], left: dict[str, float]) -> dict[str, float]:
+    """Seconds from the start of each job to the end of the longest chain that it is the first of.
+
+    Args:
+        jobs: each after those it needs.
+        left: seconds that each job still takes, by name.
+    """
+    longest = dict.fromkeys((job.name for job in jobs), 0.0)
+    for job in reversed(jobs):
+        longest[job.name] += left[job.name]
+        for need in job.needs:
+            longest[need.name] = max(longest[need.name], longest[job.name])
+    return longest

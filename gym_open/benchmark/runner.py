@@ -1,0 +1,210 @@
+"""Runs a benchmark's jobs side by side, each a process of its own, and remembers nothing between two runs.
+
+What is up to date, and where a killed job goes on, the stages' own commands know. So the runner only decides what may
+start, watches, ends its children when it ends, and tells.
+"""
+
+import os
+import signal
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from rich.console import Console
+
+from gym_open.benchmark.child import Child, alone
+from gym_open.benchmark.config import BenchmarkConfig
+from gym_open.benchmark.plan import SPEEDS, Job, Stage, chains, make_plan, seconds
+from gym_open.benchmark.table import Screen
+from gym_open.errors import GymOpenError, UsageError
+from gym_open.evaluate.config import EvaluateConfig
+from gym_open.files import lock, write_atomically
+from gym_open.progress import Progressed
+from gym_open.terminal import markup
+
+State = Literal["waiting", "running", "made", "up to date", "failed", "held up"]
+
+_LOOK = 0.25
+"""Seconds between two looks at the children."""
+_GRACE = 10.0
+"""Seconds that a child has to end when it is told to."""
+
+
+@dataclass
+class Run:
+    """What has come of a job so far."""
+
+    job: Job
+    state: State = "waiting"
+    seconds: float = 0.0
+    """That it took, or has taken so far."""
+    progress: Progressed | None = None
+    reason: str = ""
+    """Why it failed."""
+
+    @property
+    def done(self) -> bool:
+        """Whether its artefact is there."""
+        return self.state in ("made", "up to date")
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing more will come of it."""
+        return self.done or self.state in ("failed", "held up")
+
+
+class Runner:
+    """The jobs, their states, and at most `width` of them at work."""
+
+    def __init__(self, jobs: Sequence[Job], folder: Path, width: int) -> None:
+        self.folder, self.width = folder, width
+        self.runs = {job.name: Run(job) for job in jobs}
+        self._jobs = jobs
+        self._children: dict[str, Child] = {}
+        self._speeds: dict[Stage, float] = dict(SPEEDS)  # as last seen
+        self._chains = chains(jobs, {job.name: seconds(job, SPEEDS) for job in jobs})
+
+    def run(self, screen: Screen) -> None:
+        """Run all jobs; when this returns or raises, no child is left."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        for job in self._jobs:
+            write_atomically(self.folder / f"{job.name}.toml", job.toml().encode())
+        try:
+            while not all(run.ended for run in self.runs.values()):
+                for job in self._ready()[: self.width - len(self._children)]:
+                    self._children[job.name] = Child(job, self.folder)
+                    self.runs[job.name].state = "running"
+                screen.show(self)
+                time.sleep(_LOOK)
+                for name in list(self._children):
+                    self._look(name)
+            screen.show(self)
+        finally:
+            self._end_children()
+
+    def _ready(self) -> list[Job]:
+        """Jobs that may start now: scores and probes first, which are short; then those that a longer chain needs."""
+        waiting = [run.job for run in self.runs.values() if run.state == "waiting"]
+        ready = [job for job in waiting if all(self.runs[need.name].done for need in job.needs)]
+        return sorted(ready, key=lambda job: (job.stage not in ("evaluate", "train probe"), -self._chains[job.name]))
+
+    def _look(self, name: str) -> None:
+        run, child = self.runs[name], self._children[name]
+        run.seconds = child.seconds
+        run.progress = child.progress()
+        if run.progress and run.progress.rate:
+            self._speeds[run.job.stage] = run.progress.rate * run.job.units / max(run.progress.total, 1)
+        code = child.poll()
+        if code is None:
+            return
+        del self._children[name]
+        if code:
+            run.state, run.reason = "failed", child.reason()
+            self._hold_up(run.job)
+        else:
+            run.state = "made" if child.has_made() else "up to date"
+
+    def _hold_up(self, failed: Job) -> None:
+        """Of all that needs the failed job, directly or not, nothing will come."""
+        lost = {failed.name}
+        for job in self._jobs:
+            if any(need.name in lost for need in job.needs):
+                lost.add(job.name)
+                self.runs[job.name].state = "held up"
+
+    def _end_children(self) -> None:
+        for sign in (signal.SIGTERM, signal.SIGKILL):
+            for child in self._children.values():
+                child.end(sign)
+            until = time.monotonic() + _GRACE
+            while time.monotonic() < until and any(child.poll() is None for child in self._children.values()):
+                time.sleep(0.02)
+
+    def left(self) -> float:
+        """Seconds until all is done, roughly: the longest chain, or all work over all places, whichever is longer."""
+        remaining = {name: self._remaining(run) for name, run in self.runs.items()}
+        return max(*chains(self._jobs, remaining).values(), sum(remaining.values()) / self.width)
+
+    def _remaining(self, run: Run) -> float:
+        if run.ended:
+            return 0.0
+        if run.progress and run.progress.rate:
+            return (run.progress.total - run.progress.done) / run.progress.rate
+        return max(seconds(run.job, self._speeds) - run.seconds, 1.0)
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Being told to end, or losing the terminal, is taken as Ctrl-C is."""
+    signs = (signal.SIGTERM, signal.SIGHUP)
+    before = {sign: signal.signal(sign, signal.default_int_handler) for sign in signs}
+    try:
+        yield
+    finally:
+        for sign, handler in before.items():
+            signal.signal(sign, handler)
+
+
+def run_benchmark(config: BenchmarkConfig, out: Path, *, root: Path, jobs: int | None, console: Console) -> Path:
+    """Run a benchmark, or what is left of it, and write its report.
+
+    Args:
+        config: agents, tasks, seeds.
+        out: folder of the benchmark: artefacts in the folders of a workspace, `report/`, and in `jobs/` the
+            configuration and output of every job.
+        root: workspace that the configuration files belong to.
+        jobs: jobs side by side; as many as there are processors if not given.
+        console: where the table goes.
+
+    Returns:
+        The report's folder.
+
+    Raises:
+        UsageError: if `jobs` is below 1, or another process runs the benchmark; ConfigError: if a file is wrong.
+            Nothing was started then.
+        GymOpenError: if a job failed; what does not depend on it was done, and the report is of that.
+    """
+    width = len(os.sched_getaffinity(0)) if jobs is None else jobs
+    if width < 1:
+        raise UsageError(f"--jobs: expected 1 or more, got {jobs}")
+    plan = make_plan(config, out, root=root)
+    out.absolute().parent.mkdir(parents=True, exist_ok=True)
+    with lock(out.absolute()):
+        runner = Runner(plan, out / "jobs", width)
+        with _interruptible(), Screen(console) as screen:
+            runner.run(screen)
+        failed = [run for run in runner.runs.values() if run.state == "failed"]
+        for run in failed:
+            _tell(run, runner.folder, console)
+        report = _report([run.job for run in runner.runs.values() if run.done], out)
+    if failed or report is None:
+        held_up = sum(run.state == "held up" for run in runner.runs.values())
+        raise GymOpenError(
+            f"{len(failed)} of {len(plan)} jobs failed and {held_up} that need them were not begun, see above; the "
+            "same command goes on with them"
+        )
+    return report
+
+
+def _tell(failed: Run, folder: Path, console: Console) -> None:
+    name = failed.job.name
+    for line in (
+        f"[bold red]failed[/] {markup(name)}: {markup(failed.reason)}",
+        f"  log: {markup(str(folder / f'{name}.log'))}",
+        f"  alone: {markup(alone(failed.job, folder))}",
+    ):
+        console.print(line, highlight=False, soft_wrap=True)
+
+
+def _report(done: Sequence[Job], out: Path) -> Path | None:
+    """The report of all scores that there are, if any; the other artefacts tell it of probes and configurations."""
+    from gym_open.evaluate.report import ReportConfig, write_report
+
+    for job in done:
+        if isinstance(job.config, EvaluateConfig):
+            config = ReportConfig(split=job.config.split)
+            return write_report(config, [job.out for job in done], out / "report").path
+    return None

@@ -1,0 +1,120 @@
+"""What a person sees of a benchmark while it runs: a live table on a terminal, a line for each change elsewhere."""
+
+import time
+from collections import Counter
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from gym_open.terminal import printable
+
+if TYPE_CHECKING:
+    from gym_open.benchmark.runner import Run, Runner
+
+_STYLES = {
+    "waiting": "dim", "running": "cyan", "made": "green", "up to date": "green", "failed": "bold red", "held up": "red",
+}  # fmt: skip
+_EVERY = 60.0
+"""Seconds between two lines on how far all is, where there is no terminal."""
+
+
+class Screen:
+    """Shows the jobs. On a terminal nothing else may print while it is open."""
+
+    def __init__(self, console: Console) -> None:
+        self.console = console
+        # The runner draws by itself: a process with no other threads may be forked without harm.
+        self._live = Live(console=console, auto_refresh=False) if console.is_terminal else None
+        self._said: dict[str, str] = {}
+        self._lately = time.monotonic()
+
+    def __enter__(self) -> Self:
+        if self._live:
+            self._live.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        if self._live:
+            self._live.stop()
+
+    def show(self, runner: "Runner") -> None:
+        """Show how things stand."""
+        if self._live:
+            self._live.update(table(runner, self.console.height), refresh=True)
+        else:
+            self._print(runner)
+
+    def _print(self, runner: "Runner") -> None:
+        for name, run in runner.runs.items():
+            if run.state not in ("waiting", self._said.get(name)):
+                self._said[name] = run.state
+                took = f" ({duration(run.seconds)})" if run.state in ("made", "up to date", "failed") else ""
+                reason = f": {run.reason}" if run.reason else ""
+                self._line(f"{name}: {run.state}{took}{reason}")
+        if time.monotonic() - self._lately >= _EVERY:
+            self._lately = time.monotonic()
+            self._line(summary(runner))
+            for name, run in runner.runs.items():
+                if run.state == "running":
+                    self._line(f"  {name}: {how_far(run)}")
+
+    def _line(self, text: str) -> None:
+        self.console.print(printable(text), highlight=False, markup=False, soft_wrap=True)
+
+
+def table(runner: "Runner", height: int) -> RenderableType:
+    """The jobs that fit on a screen of `height` lines: those at work first, those that failed, then what comes next."""
+    order = ("running", "failed", "waiting", "held up", "made", "up to date")
+    runs = sorted(runner.runs.values(), key=lambda run: order.index(run.state))
+    room = max(height - 4, 1)
+    shown = Table(box=None, pad_edge=False, show_header=False)
+    for ratio in (3, None, None, None, None):
+        shown.add_column(no_wrap=True, overflow="ellipsis", ratio=ratio)
+    for run in runs[:room]:
+        share = run.progress.done / max(run.progress.total, 1) if run.progress else 0.0
+        at_work = run.state == "running"
+        shown.add_row(
+            Text(printable(run.job.name)),
+            Text(run.state, style=_STYLES[run.state]),
+            ProgressBar(total=1.0, completed=share, width=10) if at_work else "",
+            Text(how_far(run) if at_work else printable(run.reason)),
+            Text(duration(run.seconds) if run.seconds else ""),
+        )
+    more = [Text(f"… and {len(runs) - room} more", style="dim")] if len(runs) > room else []
+    return Group(Text(summary(runner), style="bold"), shown, *more)
+
+
+def summary(runner: "Runner") -> str:
+    """A line on all jobs together."""
+    states = Counter(run.state for run in runner.runs.values())
+    done = states["made"] + states["up to date"]
+    parts = [f"{done} of {len(runner.runs)} jobs done"]
+    parts += [f"{states[state]} {state}" for state in ("running", "failed", "held up") if states[state]]
+    if left := runner.left():
+        parts.append(f"about {duration(left)} left")
+    return ", ".join(parts)
+
+
+def how_far(run: "Run") -> str:
+    """Units done and to do, speed, and time left of a job at work."""
+    progress = run.progress
+    if progress is None:
+        return "begins"
+    words = f"{progress.done:,}/{progress.total:,}"
+    if progress.rate:
+        left = (progress.total - progress.done) / progress.rate
+        words += f"  {progress.rate:,.{0 if progress.rate >= 10 else 1}f}/s  {duration(left)} left"
+    return words
+
+
+def duration(seconds: float) -> str:
+    """Seconds in words that stay short: 12 s, 3 min, 2 h 05 min."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60:02d} min"

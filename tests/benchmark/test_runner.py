@@ -1,0 +1,247 @@
+"""Jobs side by side: order, failures, what is up to date; no child outlives the runner. Jobs are small scripts here."""
+
+import io
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from gym_open import progress
+from gym_open.benchmark import child, runner
+from gym_open.benchmark.plan import Job, Stage
+from gym_open.benchmark.runner import Runner
+from gym_open.benchmark.table import Screen, table
+from gym_open.evaluate.config import EvaluateConfig
+
+MAKE = """
+import pathlib, sys, time
+out = pathlib.Path(sys.argv[1])
+begun = time.monotonic_ns()
+time.sleep(float(sys.argv[2]))
+if not (out / "manifest.json").exists():
+    out.mkdir(parents=True)
+    (out / "manifest.json").write_text(f"{begun} {time.monotonic_ns()}")
+"""
+FAIL = "import sys; print('so far so good'); print('error: \\x1b[31mno such thing', file=sys.stderr); sys.exit(1)"
+TRACEBACK = "raise RuntimeError('broken')"
+
+
+@dataclass(frozen=True)
+class Script(Job):
+    """A job that is a Python script, called with the job's folder and `seconds`."""
+
+    script: str = MAKE
+    seconds: float = 0.0
+
+    def words(self, folder: Path) -> list[str]:  # noqa: ARG002  (it has no configuration)
+        return ["-c", self.script, str(self.out), str(self.seconds)]
+
+
+@pytest.fixture(autouse=True)
+def _scripts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(child, "PROGRAM", (sys.executable,))
+    monkeypatch.setattr(runner, "_LOOK", 0.01)
+
+
+def job(root: Path, name: str, *needs: Job, stage: Stage = "collect", units: int = 1, **more: Any) -> Script:
+    return Script(name, stage, root / name, EvaluateConfig(), units, (), needs, **more)
+
+
+def run(root: Path, jobs: Sequence[Job], width: int = 2) -> tuple[Runner, str]:
+    made = Runner(jobs, root / "jobs", width)
+    said = io.StringIO()
+    with Screen(Console(file=said, width=60)) as screen:
+        made.run(screen)
+    return made, said.getvalue()
+
+
+def states(made: Runner) -> dict[str, str]:
+    return {name: found.state for name, found in made.runs.items()}
+
+
+def times(root: Path, name: str) -> tuple[int, int]:
+    begun, ended = (root / name / "manifest.json").read_text().split()
+    return int(begun), int(ended)
+
+
+def test_a_job_waits_for_what_it_needs_and_others_do_not(tmp_path: Path) -> None:
+    first = job(tmp_path, "first", seconds=0.3)
+    beside = job(tmp_path, "beside", seconds=0.3)
+    second = job(tmp_path, "second", first, beside)
+    made, said = run(tmp_path, [first, beside, second])
+    assert set(states(made).values()) == {"made"}
+    begun = {name: times(tmp_path, name)[0] for name in states(made)}
+    ended = {name: times(tmp_path, name)[1] for name in states(made)}
+    assert begun["second"] > max(ended["first"], ended["beside"])
+    assert begun["beside"] < ended["first"]  # side by side
+    assert begun["first"] < ended["beside"]
+    assert [line for line in said.splitlines() if "made" in line][-1].startswith("second: made (")
+
+
+def test_one_place_is_one_job_at_a_time_longest_chain_first(tmp_path: Path) -> None:
+    short, long, start = job(tmp_path, "a", units=1000), job(tmp_path, "b", units=9000), job(tmp_path, "c")
+    after = job(tmp_path, "d", start, units=10_000)
+    score = job(tmp_path, "e", stage="evaluate")
+    jobs = [short, long, start, after, score]
+    run(tmp_path, jobs, width=1)
+    spans = sorted((times(tmp_path, made.name), made.name) for made in jobs)
+    assert "".join(name for _, name in spans) == "ecdba"
+    assert all(ended <= begun for ((_, ended), _), ((begun, _), _) in itertools.pairwise(spans))
+
+
+def test_a_failure_stops_only_what_needs_it(tmp_path: Path) -> None:
+    bad = job(tmp_path, "bad", script=FAIL)
+    worse = job(tmp_path, "worse", script=TRACEBACK)
+    lost = job(tmp_path, "lost", bad)
+    lost_too = job(tmp_path, "lost-too", lost)
+    good = job(tmp_path, "good", job(tmp_path, "fine"))
+    made, said = run(tmp_path, [bad, worse, lost, lost_too, *good.needs, good])
+    assert states(made) == {
+        "bad": "failed", "worse": "failed", "lost": "held up", "lost-too": "held up", "fine": "made", "good": "made",
+    }  # fmt: skip
+    assert made.runs["bad"].reason.endswith("no such thing")
+    assert made.runs["worse"].reason == "RuntimeError: broken"
+    assert r"\x1b[31mno such thing" in said
+    assert "\x1b" not in said
+    assert "so far so good" in (tmp_path / "jobs/bad.log").read_text()
+
+
+def test_what_is_there_is_up_to_date_and_failures_are_tried_again(tmp_path: Path) -> None:
+    first, bad = job(tmp_path, "first"), job(tmp_path, "bad", script=FAIL)
+    run(tmp_path, [first, bad])
+    before = times(tmp_path, "first")
+    mended = job(tmp_path, "bad")
+    made, _ = run(tmp_path, [first, mended])
+    assert states(made) == {"first": "up to date", "bad": "made"}
+    assert times(tmp_path, "first") == before
+    log = (tmp_path / "jobs/bad.log").read_text()
+    assert log.count("$ OMP_NUM_THREADS=1") == 2  # of both attempts
+
+
+def test_a_job_that_a_signal_ends_is_a_failure(tmp_path: Path) -> None:
+    made, _ = run(tmp_path, [job(tmp_path, "shot", script="import os; os.kill(os.getpid(), 9)")])
+    assert made.runs["shot"].state == "failed"
+    assert made.runs["shot"].reason == "ended by SIGKILL"
+
+
+def test_children_have_one_thread_and_say_how_far_they_are(tmp_path: Path) -> None:
+    script = """
+import os, time
+assert os.environ["OMP_NUM_THREADS"] == "1"
+from gym_open.progress import bar
+with bar("playing", 400) as shown:
+    time.sleep(0.05)
+    shown.advance(100)
+    time.sleep(1)
+    shown.advance(100)
+    time.sleep(0.3)
+"""
+    made = Runner([job(tmp_path, "plays", script=script, units=400)], tmp_path / "jobs", 1)
+    seen = set[tuple[int, int]]()
+
+    class Watch(Screen):
+        def show(self, runner: Runner) -> None:
+            if (found := runner.runs["plays"].progress) is not None:
+                seen.add((found.done, found.total))
+                assert (found.done == 0) == (found.rate == 0)
+
+    made.run(Watch(Console(file=io.StringIO())))
+    assert states(made) == {"plays": "up to date"}  # it ended well, and wrote no artefact
+    assert seen == {(0, 400), (200, 400)}
+    assert not list((tmp_path / "jobs").glob("*.progress*"))
+
+
+def _wait_for(path: Path) -> int:
+    until = time.monotonic() + 20
+    while not path.is_file() or not path.read_text().strip():
+        assert time.monotonic() < until
+        time.sleep(0.01)
+    return int(path.read_text())
+
+
+def _is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return "\nState:\tZ" not in Path(f"/proc/{pid}/status").read_text()  # not one that only waits to be buried
+
+
+RUNNER = """
+import io, sys
+from pathlib import Path
+from rich.console import Console
+sys.path[:0] = sys.argv[1:2]
+import test_runner
+from gym_open.benchmark import child, runner
+child.PROGRAM = (sys.executable,)
+root = Path(sys.argv[2])
+script = f"import os, time; open({str(root / 'pid')!r}, 'w').write(str(os.getpid())); time.sleep(60)"
+runner.make_plan = lambda config, out, root: [test_runner.job(out, "long", script=script)]
+try:
+    runner.run_benchmark(None, root / "out", root=root, jobs=1, console=Console(file=io.StringIO()))
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+
+
+@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
+def test_no_child_outlives_the_runner(sign: signal.Signals, tmp_path: Path) -> None:
+    words = [sys.executable, "-c", RUNNER, str(Path(__file__).parent), str(tmp_path)]
+    process = subprocess.Popen(words, stderr=subprocess.PIPE)
+    pid = _wait_for(tmp_path / "pid")
+    assert _is_alive(pid)
+    process.send_signal(sign)
+    _, error = process.communicate(timeout=20)
+    assert process.returncode == (-sign if sign == signal.SIGKILL else 130), error.decode()
+    until = time.monotonic() + 5
+    while _is_alive(pid):
+        assert time.monotonic() < until
+        time.sleep(0.01)
+
+
+def test_the_time_left_follows_the_speed_that_is_seen(tmp_path: Path) -> None:
+    first, second = job(tmp_path, "first", units=1000), job(tmp_path, "second", units=1000)
+    made = Runner([first, second, job(tmp_path, "third", second, units=1000)], tmp_path, 2)
+    made.runs["first"].state = "running"
+    made.runs["first"].progress = progress.Progressed(done=500, total=1000, rate=10.0)
+    alone = 6.0 + 1000 / 250  # a job of 1,000 steps, before anything is known
+    assert made.left() == pytest.approx(max(50.0, 2 * alone))
+    made.runs["first"].state = made.runs["second"].state = "made"
+    assert made.left() == pytest.approx(alone)
+
+
+def test_a_table_fits_the_terminal_and_shows_work_and_failures_first(tmp_path: Path) -> None:
+    jobs = [job(tmp_path, f"job-{i:03d}") for i in range(300)]
+    made = Runner(jobs, tmp_path, 2)
+    made.runs["job-200"].state = "running"
+    made.runs["job-200"].progress = progress.Progressed(done=1234, total=5000, rate=56.7)
+    made.runs["job-250"].state, made.runs["job-250"].reason = "failed", "no \x1b[2J such [bold]thing"
+    said = io.StringIO()
+    Console(file=said, width=100, color_system=None).print(table(made, height=20))
+    lines = [line.rstrip() for line in said.getvalue().splitlines()]
+    assert len(lines) < 20
+    assert lines[0].startswith("0 of 300 jobs done, 1 running, 1 failed, about")
+    assert lines[1].split()[:2] == ["job-200", "running"]
+    assert "1,234/5,000  57/s  66 s left" in lines[1]
+    assert lines[2].split()[:2] == ["job-250", "failed"]
+    assert r"no \x1b[2J such [bold]thing" in lines[2]
+    assert lines[-1] == "… and 284 more"
+
+
+def test_a_terminal_is_drawn_on_and_left_with_the_last_state(tmp_path: Path) -> None:
+    said = io.StringIO()
+    console = Console(file=said, width=80, height=20, force_terminal=True, color_system=None, legacy_windows=False)
+    with Screen(console) as screen:
+        Runner([job(tmp_path, "only")], tmp_path / "jobs", 1).run(screen)
+    assert "0 of 1 jobs done, 1 running, about" in said.getvalue()
+    assert said.getvalue().rstrip().rpartition("1 of 1 jobs done")[2].split()[:2] == ["only", "made"]
