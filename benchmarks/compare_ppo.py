@@ -166,10 +166,11 @@ def difference(x: np.ndarray, y: np.ndarray) -> str:
     draws = [a[rng.integers(len(a), size=(RESAMPLES, len(a)))].mean(axis=1) for a in (x, y)]
     low, high = np.percentile(draws[0] - draws[1], [2.5, 97.5])
     welch = stats.ttest_ind(x, y, equal_var=False)
+    _, p_value = welch
     wide = welch.confidence_interval()
     return (
         f"{x.mean() - y.mean():+.3f}, 95% bootstrap interval over seeds [{low:+.3f}, {high:+.3f}], "
-        f"Welch's [{wide.low:+.3f}, {wide.high:+.3f}], p = {welch.pvalue:.2f}"
+        f"Welch's [{wide.low:+.3f}, {wide.high:+.3f}], p = {p_value:.2f}"
     )
 
 
