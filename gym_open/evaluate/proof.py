@@ -9,6 +9,7 @@ What no record can show is who wrote them: see `Proof.rests_on`.
 
 from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 import msgspec
@@ -16,13 +17,17 @@ import msgspec
 from gym_open.artefacts import LINEAGE, Parent
 from gym_open.envs.puzzles.sets import reserved_digests
 from gym_open.errors import ArtefactError
+from gym_open.files import sha256_file
 
 Verdict = Literal["proven", "no encoder", "missing", "not applicable"]
 
 _BELOW = {"policy": ("encoder", "log"), "encoder": ("release",), "release": ("log", "release"), "log": ()}
 """What each kind of link may be made of."""
+_WEIGHTS = "model.safetensors"
+_OWN = f"encoder/{_WEIGHTS}"
+"""Of a log: what its explorer's encoder had become."""
 _PAYLOAD = {
-    "policy": ("model.safetensors", "model.json"), "encoder": ("model.safetensors", "model.json"),
+    "policy": (_WEIGHTS, "model.json"), "encoder": (_WEIGHTS, "model.json"),
     "release": ("meta/info.json",), "log": ("summary.json",),
 }  # fmt: skip
 """Files without which an artefact is none of its kind."""
@@ -60,6 +65,7 @@ class PolicyFacts(msgspec.Struct, frozen=True):
     seed: int
     encoder: Literal["none", "offline", "online"]
     from_encoder: bool
+    frozen: bool
     checkpoints: list[_Checkpoint]
 
     def steps_at(self, asked: int) -> int | None:
@@ -81,10 +87,12 @@ def policy_facts(policy: Parent, folder: Path) -> PolicyFacts:
         ) from None
 
 
-def task_free_proof(policy: Parent | None) -> Proof:
+def task_free_proof(policy: Parent | None, folder: Path | None = None) -> Proof:
     """Walk from a policy's records down to the logs its encoder was learned from (None: a random agent).
 
-    `policy` has the records of a policy's folder, or is the parent in the lineage of its scores: they are the same.
+    Args:
+        policy: the records of a policy's folder, or the parent in the lineage of its scores: they are the same.
+        folder: the policy itself, if it is at hand: weights of a frozen encoder are held against those it started from.
     """
     if policy is None:
         return Proof(verdict="no encoder", reasons=["nothing was learned at all"], chain=[])
@@ -93,6 +101,8 @@ def task_free_proof(policy: Parent | None) -> Proof:
     for line, faults in _walk(policy, ("policy",)):
         chain.append(line)
         reasons.extend(faults)
+    if folder is not None and not reasons:
+        reasons.extend(_faults_of_frozen(policy, folder))
     if reasons:
         return Proof(verdict="missing", reasons=reasons, chain=chain)
     if not policy.lineage.parents:
@@ -155,8 +165,27 @@ def _faults_of_policy(link: Parent) -> Iterator[str]:
     kinds = [parent.lineage.kind for parent in parents]
     if kinds != _LEARNED_FROM[facts.encoder] or facts.from_encoder is not bool(parents):
         yield f"its facts say {facts.encoder!r} of its encoder, its records have {kinds or 'none'}"
-    if facts.encoder == "online" and any("encoder/model.safetensors" not in parent.manifest for parent in parents):
+    if facts.encoder == "online" and any(_OWN not in parent.manifest for parent in parents):
         yield "the log that it started from holds no encoder"
+
+
+def _faults_of_frozen(link: Parent, folder: Path) -> Iterator[str]:
+    """An encoder that was left as it was is, written again, the very file that its artefact's manifest lists."""
+    from gym_open.agents.encoder import Encoder
+    from gym_open.formats.models import load_policy, save_encoder
+
+    if not link.lineage.facts["frozen"]:
+        return
+    encoder, found = load_policy(folder).encoder, ""
+    if isinstance(encoder, Encoder):
+        with TemporaryDirectory() as beside:
+            save_encoder(Path(beside), encoder)
+            found = sha256_file(Path(beside) / _WEIGHTS)
+    for parent in link.lineage.parents:
+        kind = parent.lineage.kind
+        if parent.manifest[_OWN if kind == "log" else _WEIGHTS].sha256 != found:
+            start = f"{kind} {parent.digest[:12]}"
+            yield f"policy {link.digest[:12]}: says that its encoder is as {start} left it, but its weights are others"
 
 
 def _faults_of_encoder(link: Parent) -> Iterator[str]:
