@@ -12,12 +12,13 @@ from typing import Any, Literal, TypeVar
 
 import msgspec
 
+from gym_open import artefacts
 from gym_open.benchmark.config import AgentConfig, BenchmarkConfig
 from gym_open.collect.config import CollectConfig
 from gym_open.config import Config, check, load, to_dict
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.errors import ConfigError
-from gym_open.evaluate.config import EvaluateConfig
+from gym_open.evaluate.config import CheckpointConfig, EvaluateConfig
 from gym_open.train.config import EncoderTrainConfig, PolicyTrainConfig, ProbeConfig
 
 C = TypeVar("C", bound=Config)
@@ -27,6 +28,11 @@ SPEEDS: dict[Stage, float] = {
     "collect": 250, "dataset build": 500, "train encoder": 12, "train probe": 0.1, "train policy": 500, "evaluate": 15,
 }  # fmt: skip
 """Units of a job (steps, steps, updates, probes, steps, puzzles) that one core does in a second, roughly."""
+KINDS: dict[Stage, str] = {
+    "collect": "log", "dataset build": "release", "train encoder": "encoder", "train probe": "probe",
+    "train policy": "policy", "evaluate": "scores",
+}  # fmt: skip
+"""Kind of the artefact that a stage makes."""
 START = 6.0
 """Seconds until a job has imported what it needs, roughly."""
 _PUZZLES = 100
@@ -50,6 +56,15 @@ class Job:
     """What the command is given besides its configuration and `out`."""
     needs: tuple["Job", ...] = ()
     """Jobs whose artefacts it reads."""
+    key: Config | None = None
+    """Configuration that the artefact records, if that is not `config`."""
+
+    def is_up_to_date(self) -> bool:
+        """Whether the command would find nothing to do; no, if unsure. To ask is cheaper than to start it."""
+        parents = [need.out for need in self.needs]
+        return artefacts.is_up_to_date(
+            self.out, kind=KINDS[self.stage], config=self.key or self.config, parents=parents
+        )
 
     def words(self, folder: Path) -> list[str]:
         """The command, after `gym-open`, where the job's configuration lies in `folder`."""
@@ -172,18 +187,19 @@ class _Planner:
         options = ("--policy", str(policy.out))
         self.score(name, task, options, policy)
         for at in before_the_end(config):
-            self.score(f"{name}-at{at}", task, (*options, "--at", str(at)), policy)
+            self.score(f"{name}-at{at}", task, (*options, "--at", str(at)), policy, at=at)
 
     def references(self, task: str) -> None:
         """What every agent's scores stand between: random actions and the planner's."""
         self.score(f"random-{task}", task, ())
         self.score(f"oracle-{task}", task, ("--oracle",))
 
-    def score(self, name: str, task: str, options: Sequence[str], *needs: Job) -> None:
+    def score(self, name: str, task: str, options: Sequence[str], *needs: Job, at: int | None = None) -> None:
         """One evaluation."""
         config = check(msgspec.structs.replace(self.evaluation, task=task), source="tasks")
         out = self.out / "evaluate/scores" / name
-        self.add(Job(f"score-{name}", "evaluate", out, config, _PUZZLES, tuple(options), needs))
+        key = None if at is None else CheckpointConfig(**to_dict(config), at=at)
+        self.add(Job(f"score-{name}", "evaluate", out, config, _PUZZLES, tuple(options), needs, key))
 
 
 def _check_network(agent: AgentConfig, policy: PolicyTrainConfig, made: Job | None) -> None:

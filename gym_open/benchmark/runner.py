@@ -1,7 +1,7 @@
 """Runs a benchmark's jobs side by side, each a process of its own, and remembers nothing between two runs.
 
-What is up to date, and where a killed job goes on, the stages' own commands know. So the runner only decides what may
-start, watches, ends its children when it ends, and tells.
+What is up to date is read from the artefacts, and where a killed job goes on, its command knows. So the runner only
+decides what may start, watches, ends its children when it ends, and tells.
 """
 
 import os
@@ -74,9 +74,11 @@ class Runner:
             write_atomically(self.folder / f"{job.name}.toml", job.toml().encode())
         try:
             while not all(run.ended for run in self.runs.values()):
-                for job in self._ready()[: self.width - len(self._children)]:
-                    self._children[job.name] = Child(job, self.folder)
-                    self.runs[job.name].state = "running"
+                for job in self._ready():
+                    if len(self._children) == self.width:
+                        break
+                    self._begin(job)
+                    screen.show(self)
                 screen.show(self)
                 time.sleep(_LOOK)
                 for name in list(self._children):
@@ -90,6 +92,13 @@ class Runner:
         waiting = [run.job for run in self.runs.values() if run.state == "waiting"]
         ready = [job for job in waiting if all(self.runs[need.name].done for need in job.needs)]
         return sorted(ready, key=lambda job: (job.stage not in ("evaluate", "train probe"), -self._chains[job.name]))
+
+    def _begin(self, job: Job) -> None:
+        if job.is_up_to_date():
+            self.runs[job.name].state = "up to date"
+        else:
+            self._children[job.name] = Child(job, self.folder)
+            self.runs[job.name].state = "running"
 
     def _look(self, name: str) -> None:
         run, child = self.runs[name], self._children[name]

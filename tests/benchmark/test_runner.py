@@ -1,5 +1,6 @@
 """Jobs side by side: order, failures, what is up to date; no child outlives the runner. Jobs are small scripts here."""
 
+import dataclasses
 import io
 import itertools
 import os
@@ -15,7 +16,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from gym_open import progress
+from gym_open import artefacts, progress
 from gym_open.benchmark import child, runner
 from gym_open.benchmark.plan import Job, Stage
 from gym_open.benchmark.runner import Runner
@@ -125,6 +126,27 @@ def test_what_is_there_is_up_to_date_and_failures_are_tried_again(tmp_path: Path
     assert times(tmp_path, "first") == before
     log = (tmp_path / "jobs/bad.log").read_text()
     assert log.count("$ OMP_NUM_THREADS=1") == 2  # of both attempts
+
+
+def test_nothing_is_started_for_an_artefact_that_is_whole_and_of_the_same_inputs(tmp_path: Path) -> None:
+    def work(folder: Path) -> dict[str, str]:
+        (folder / "payload").write_text("played")
+        return {}
+
+    play = job(tmp_path, "play")
+    artefacts.build(play.out, kind="log", config=play.config, parents=[], work=work)
+    score = job(tmp_path, "score", play, stage="evaluate")
+    artefacts.build(score.out, kind="scores", config=score.config, parents=[play.out], work=work)
+    other = dataclasses.replace(score, name="other", config=EvaluateConfig(seed=1))
+    logs = tmp_path / "jobs"
+    made, _ = run(tmp_path, [play, score])
+    assert states(made) == {"play": "up to date", "score": "up to date"}
+    assert not list(logs.glob("*.log"))
+    run(tmp_path, [play, other])
+    assert [log.name for log in logs.glob("*.log")] == ["other.log"]
+    (play.out / "payload").write_text("forged")
+    run(tmp_path, [play, score])
+    assert sorted(log.name for log in logs.glob("*.log")) == ["other.log", "play.log"]
 
 
 def test_a_job_that_a_signal_ends_is_a_failure(tmp_path: Path) -> None:
