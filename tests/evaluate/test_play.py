@@ -1,24 +1,33 @@
 """Playing the fixed puzzles: what is recorded is what happened, and it can be replayed."""
 
+import zlib
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+import torch
 
 from gym_open import artefacts
+from gym_open.agents.config import EncoderConfig, PPOConfig
+from gym_open.config import Config
 from gym_open.envs.constants import N_ACTIONS
 from gym_open.envs.env import OpenEnv
 from gym_open.envs.puzzles import TASKS, Task
 from gym_open.envs.puzzles.sets import test_puzzles as fixed_puzzles
 from gym_open.envs.puzzles.witnesses import witnesses_of
+from gym_open.envs.state import state_vector
 from gym_open.envs.tasks import step_budget
-from gym_open.errors import UsageError
+from gym_open.errors import ArtefactError, UsageError
 from gym_open.evaluate import a_success
+from gym_open.evaluate import play as playing
 from gym_open.evaluate.config import EvaluateConfig
 from gym_open.evaluate.play import evaluate, play, replay
-from gym_open.evaluate.scores import Episodes, summarise
+from gym_open.evaluate.scores import Episodes, read_scores, summarise
+from gym_open.formats.models import load_policy
+from gym_open.train.config import PolicyTrainConfig
+from gym_open.train.policy import train_policy
 
 
 def _uniform(images: np.ndarray) -> np.ndarray:
@@ -124,3 +133,107 @@ def test_a_replay_does_nothing_behind_the_sequence() -> None:
 def test_the_oracle_takes_no_policy(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="leave one of the two out"):
         evaluate(EvaluateConfig(), tmp_path / "policy", tmp_path / "scores", oracle=True)
+
+
+def _sees(seen: np.ndarray) -> np.ndarray:
+    """Probabilities that another pixel, or another number of a state, would make others."""
+    return np.stack([np.random.default_rng(zlib.crc32(one.tobytes())).dirichlet(np.ones(N_ACTIONS)) for one in seen])
+
+
+@pytest.mark.parametrize(("threads", "states"), [(1, False), (3, False), (2, True)])
+def test_puzzles_side_by_side_go_as_each_does_alone(threads: int, *, states: bool) -> None:
+    """To the bit: pictures, or states, rewards and ends, against Gymnasium's plain loop."""
+    puzzles = fixed_puzzles("goal-seeking")[:8]
+    config = EvaluateConfig(actions="greedy", threads=threads)
+    episodes = play(_sees, "goal-seeking", puzzles, config, states=states)
+    for i, puzzle in enumerate(puzzles):
+        env = OpenEnv("goal-seeking")
+        image, _ = env.reset(options={"puzzle": puzzle})
+        terminated = truncated = False
+        for t in range(episodes.steps[i]):
+            assert not terminated
+            assert not truncated
+            action = int(_sees((state_vector(env.world) if states else image)[None])[0].argmax())
+            assert action == episodes.actions[i, t]
+            image, reward, terminated, truncated, _ = env.step(action)
+            assert reward == episodes.rewards[i, t]
+        assert terminated == episodes.terminated[i]
+        assert terminated or truncated
+    assert len(set(episodes.steps.tolist())) > 1  # some were over before others
+
+
+@pytest.fixture(scope="module", params=["cnn", "state"])
+def policy(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two updates, 32 steps each; kept after the first of them as well."""
+    config = PolicyTrainConfig(
+        steps=64, num_envs=4, num_steps=8, mean_images=4, checkpoints=(20, 10_000), seed=7, threads=1, agent="mine",
+        encoder=EncoderConfig(architecture=request.param, features=16), ppo=PPOConfig(learning_rate=0.01),
+    )  # fmt: skip
+    return train_policy(config, None, tmp_path_factory.mktemp(request.param) / "policy").path
+
+
+@pytest.fixture
+def two_puzzles(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(playing, "puzzles_of", lambda task, _: fixed_puzzles(task)[:2])
+
+
+@pytest.mark.usefixtures("two_puzzles")
+@pytest.mark.parametrize(("at", "trained", "folder"), [(None, 64, ""), (20, 32, "checkpoints/000000032")])
+def test_what_is_scored_are_the_weights_that_were_asked_for(
+    policy: Path, tmp_path: Path, at: int | None, trained: int, folder: str
+) -> None:
+    config = EvaluateConfig(threads=1, seed=3)
+    made = evaluate(config, policy, tmp_path / "scores", at=at)
+    record = read_scores(made.path)
+    assert (record.agent, record.seed, record.evaluation_seed) == ("mine", 7, 3)
+    assert (record.trained, record.policy) == (trained, artefacts.digest(policy))
+    assert record.proof.verdict == "no encoder"
+    network = load_policy(policy / folder)
+
+    def actor(seen: np.ndarray) -> np.ndarray:
+        with torch.no_grad():
+            features = network.encoder(network.encoder.prepare(torch.from_numpy(seen)))
+            return torch.softmax(network.actor(features).double(), dim=1).numpy()
+
+    states = network.encoder.config.architecture == "state"
+    expected = play(actor, "goal-seeking", fixed_puzzles("goal-seeking")[:2], config, states=states)
+    rows = pq.read_table(made.path / "episodes.parquet").to_pylist()
+    assert [row["actions"] for row in rows] == [
+        actions[:n].tolist() for actions, n in zip(expected.actions, expected.steps, strict=True)
+    ]
+    assert not evaluate(config, policy, tmp_path / "scores", at=at).made
+
+
+@pytest.mark.usefixtures("two_puzzles")
+def test_scores_of_a_checkpoint_are_not_taken_for_those_of_the_end(policy: Path, tmp_path: Path) -> None:
+    config = EvaluateConfig(threads=1)
+    evaluate(config, policy, tmp_path / "scores")
+    again = evaluate(config, policy, tmp_path / "scores", at=20)
+    assert again.made
+    assert again.earlier
+
+
+def test_a_checkpoint_that_was_not_reached_is_named_with_those_that_are_there(policy: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="no checkpoint at 10000 steps; there are: 20; the end, after 64 steps"):
+        evaluate(EvaluateConfig(), policy, tmp_path / "scores", at=10_000)
+    with pytest.raises(UsageError, match="--at 20 is a checkpoint of a policy, and there is none"):
+        evaluate(EvaluateConfig(), None, tmp_path / "scores", at=20)
+
+
+def test_a_policy_of_another_task_is_refused(policy: Path, tmp_path: Path) -> None:
+    with pytest.raises(ArtefactError, match="trained for task 'goal-seeking', not 'tool-use'"):
+        evaluate(EvaluateConfig(task="tool-use"), policy, tmp_path / "scores")
+
+
+def test_facts_that_are_not_a_policys_are_named(tmp_path: Path) -> None:
+    made = artefacts.build(
+        tmp_path / "policy", kind="policy", config=Config(), parents=[], work=lambda _: {"task": "goal-seeking"}
+    )
+    with pytest.raises(ArtefactError, match=r"lineage\.json: not a policy's facts .*missing required field `steps`"):
+        evaluate(EvaluateConfig(), made.path, tmp_path / "scores")
+
+
+@pytest.mark.usefixtures("two_puzzles")
+def test_scores_have_the_same_bytes_again(policy: Path, tmp_path: Path) -> None:
+    folders = [evaluate(EvaluateConfig(threads=1), policy, tmp_path / name).path for name in ("one", "two")]
+    assert artefacts.digest(folders[0]) == artefacts.digest(folders[1])
