@@ -4,6 +4,8 @@ import os
 import platform
 from pathlib import Path
 
+from gym_open.errors import ConfigError
+
 
 def hardware(threads: int, device: str = "cpu") -> dict[str, str | int]:
     """Processor, cores of this machine, threads that were used, and the device: "cpu", or the name of the GPU."""
@@ -13,6 +15,15 @@ def hardware(threads: int, device: str = "cpu") -> dict[str, str | int]:
 
         name = torch.cuda.get_device_name()
     return {"processor": _processor(), "cores": os.cpu_count() or 1, "threads": threads, "device": name}
+
+
+def check_device(device: str) -> None:
+    """Raise ConfigError if the networks are to be on a GPU, and PyTorch finds none."""
+    if device == "cuda":
+        import torch
+
+        if not torch.cuda.is_available():
+            raise ConfigError(f"key `device`: {device!r} asks for a GPU, and PyTorch finds none here; give 'cpu'")
 
 
 def _processor() -> str:

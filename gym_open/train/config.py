@@ -19,7 +19,7 @@ class EncoderTrainConfig(Config, frozen=True, kw_only=True):
     """Adam's step size."""
     shift_pad: Count = 4
     """Largest random shift, in pixels, of the pictures (Kostrikov et al. 2021); 0 for none."""
-    report_every: PositiveInt = 50
+    report_every: PositiveInt = 100
     """Updates between two rows of the learning curve; a killed run goes on from the last of them."""
     encoder: EncoderConfig = EncoderConfig()
     """The network."""
@@ -32,7 +32,7 @@ class EncoderTrainConfig(Config, frozen=True, kw_only=True):
     precision: Precision = "bf16"
     """Arithmetic of the network: bf16 is the faster on CPUs that have it, weights stay fp32."""
     device: Device = "cpu"
-    """Where the network computes."""
+    """Where the network is: `cuda` for a GPU, where the last bits of two runs may differ."""
     threads: PositiveInt = 2
     """Torch threads; part of the configuration because the number of threads may change the last bits."""
     seed: Seed = 0
@@ -75,18 +75,22 @@ class PolicyTrainConfig(Config, frozen=True, kw_only=True):
 
 
 class ProbeConfig(Config, frozen=True, kw_only=True):
-    """Linear probe of an encoder's features: where are the agent and the goals?"""
+    """Linear probes of an encoder's features: where are things, and what does a move do?"""
 
-    train_worlds: PositiveInt = 2000
-    """Worlds that the linear map is fitted to, one picture each."""
-    validation_worlds: PositiveInt = 500
-    """Worlds that choose the strength of its regularisation."""
-    test_worlds: PositiveInt = 1000
-    """Worlds that score it."""
-    ridge: tuple[PositiveFloat, ...] = (1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0)
+    train_worlds: PositiveInt = 1500
+    """Worlds that the linear maps are fitted to."""
+    validation_worlds: PositiveInt = 400
+    """Worlds that choose the strength of their regularisation."""
+    test_worlds: PositiveInt = 800
+    """Worlds that score them."""
+    moves: PositiveInt = 3
+    """Random moves looked at in each world."""
+    ridge: tuple[PositiveFloat, ...] = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)
     """Strengths to choose from: the penalty on squared weights, where features have mean square length 1."""
-    pixels: bool = False
-    """Probe the centred pixels themselves as well."""
+    untrained: PositiveInt = 2
+    """Untrained encoders to compare with; one may be .05 of R² above another."""
+    pixels: bool = True
+    """Probe the pixels themselves as well."""
     threads: PositiveInt = 2
     """Torch threads; part of the configuration because the number of threads may change the last bits."""
     seed: Seed = 0

@@ -25,7 +25,7 @@ from gym_open.formats.checkpoints import (
 from gym_open.formats.models import save_encoder
 from gym_open.formats.releases import IMAGE, open_release
 from gym_open.formats.windows import Batch, Pictures, Windows
-from gym_open.hardware import hardware
+from gym_open.hardware import check_device, hardware
 from gym_open.train.config import EncoderTrainConfig
 from gym_open.train.curve import Row, clean, save_curve
 from gym_open.train.tensorboard import Board
@@ -54,8 +54,10 @@ def train_encoder(
 
     Raises:
         ArtefactError: if the release is damaged or has too few steps for one batch.
+        ConfigError: if a GPU is asked for and there is none.
         DivergedError: if the loss is no longer finite.
     """
+    check_device(config.device)
 
     def work(partial: Path) -> Mapping[str, Any]:
         torch.set_num_threads(config.threads)

@@ -33,7 +33,7 @@ from gym_open.formats.models import (
     read_architecture,
     save_policy,
 )
-from gym_open.hardware import hardware
+from gym_open.hardware import check_device, hardware
 from gym_open.train.config import PolicyTrainConfig
 from gym_open.train.curve import Row, clean, save_curve
 from gym_open.train.tables import Episode, Tables
@@ -63,9 +63,10 @@ def train_policy(
 
     Raises:
         ArtefactError: if the encoder is damaged, or is another network than `config.encoder`; nothing was started then.
-        ConfigError: if a frozen encoder is asked for, and there is none.
+        ConfigError: if a frozen encoder, or a GPU, is asked for and there is none.
         DivergedError: if the loss is no longer finite.
     """
+    check_device(config.device)
     if encoder is not None:
         check_architecture(config, encoder)
     elif config.frozen:

@@ -13,7 +13,7 @@ import torch
 
 from gym_open import artefacts
 from gym_open.agents.config import CurlConfig, EncoderConfig, IcmConfig, RndConfig
-from gym_open.errors import ArtefactError, DivergedError
+from gym_open.errors import ArtefactError, ConfigError, DivergedError
 from gym_open.formats.models import load_encoder
 from gym_open.formats.releases import open_release
 from gym_open.formats.windows import Pictures
@@ -74,6 +74,16 @@ def test_mean_picture_is_that_of_the_training_frames(release: Path, tmp_path: Pa
     source = open_release(release)
     expected = source.images(source.split("train")).astype(np.float64).mean(axis=0).transpose(2, 0, 1)
     np.testing.assert_allclose(encoder.mean_image.numpy(), expected, rtol=1e-6)
+
+
+def test_pictures_that_were_kept_for_the_next_run_change_nothing(release: Path, tmp_path: Path) -> None:
+    kept = tmp_path / "cache"
+    first, second, third = (
+        train_encoder(TINY, release, tmp_path / name, cache=cache).path
+        for name, cache in (("a", None), ("b", kept), ("c", kept))
+    )
+    assert artefacts.digest(first) == artefacts.digest(second) == artefacts.digest(third)
+    assert (kept / f"{artefacts.digest(release)}.frames").is_file()
 
 
 def test_large_releases_give_the_same_without_decoding_all(
@@ -140,3 +150,19 @@ def test_a_loss_that_is_not_finite_is_said_with_update_and_configuration(release
     with pytest.raises(DivergedError, match=r"not finite in update \d.*`learning_rate`, got 1e\+30"):
         train_encoder(config, release, tmp_path / "e")
     assert not (tmp_path / "e").exists()
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_a_gpu_that_is_not_there_is_said(release: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="key `device`: 'cuda'"):
+        train_encoder(msgspec.structs.replace(TINY, device="cuda"), release, tmp_path / "e")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU")
+@each_model
+def test_a_gpu_learns_the_same(config: EncoderTrainConfig, release: Path, tmp_path: Path) -> None:
+    config = msgspec.structs.replace(config, precision="fp32")
+    there = msgspec.structs.replace(config, device="cuda")
+    here, gpu = (curve(train_encoder(one, release, tmp_path / one.device).path) for one in (config, there))
+    assert gpu["loss"] == pytest.approx(here["loss"], rel=0.05)
