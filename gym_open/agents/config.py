@@ -8,7 +8,7 @@ Precision = Literal["fp32", "bf16"]
 Device = Literal["cpu", "cuda"]
 Architecture = Literal["cnn", "impala", "state"]
 WorldModelName = Literal["none", "icm", "rnd", "curl"]
-RewardName = Literal["none", "error", "ride"]
+RewardName = Literal["none", "error", "ride", "counted-ride"]
 
 
 class EncoderConfig(Config, frozen=True, kw_only=True):
@@ -114,7 +114,8 @@ class ExplorerConfig(Config, frozen=True, kw_only=True):
     """What is learned of the world; `none` learns nothing, and acts at random."""
     reward: RewardName = "ride"
     """From within: the world model's own `error`, `ride` (how far an action moved the world in the model's latent
-    space), or `none`, which acts uniformly at random while the model, if there is one, still learns."""
+    space), `counted-ride` (the same, less where the agent has been before in its stay), or `none`, which acts uniformly
+    at random while the model, if there is one, still learns."""
     share_encoder: bool = True
     """Policy and world model share one encoder, as the paper insists; else each has one of its own."""
     encoder: EncoderConfig = EncoderConfig()

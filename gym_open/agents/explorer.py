@@ -24,13 +24,17 @@ from gym_open.agents.config import ExplorerConfig, RewardName
 from gym_open.agents.encoder import Encoder, autocast
 from gym_open.agents.policy import ActorCritic
 from gym_open.agents.ppo import Rollout, gae, policy_loss, value_loss
-from gym_open.agents.rewards import OwnError, Reward, RewardScale, Ride
+from gym_open.agents.rewards import CountedRide, OwnError, Reward, RewardScale, Ride
 from gym_open.agents.world_model import Transitions, WorldModel
 from gym_open.agents.world_models import WORLD_MODELS
 from gym_open.errors import DivergedError
 
-REWARDS: dict[RewardName, Callable[[WorldModel], Reward]] = {"error": OwnError, "ride": Ride}
-"""Rewards by name, made of a world model."""
+REWARDS: dict[RewardName, Callable[[WorldModel, int], Reward]] = {
+    "error": lambda model, _: OwnError(model),
+    "ride": lambda model, _: Ride(model),
+    "counted-ride": CountedRide,
+}
+"""Rewards by name, made of a world model, for a number of streams."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +102,7 @@ class Explorer:
             self.model = WORLD_MODELS[config.world_model](config, own, n_actions, init)
             if config.reward != "none":
                 self.policy = ActorCritic(self.encoder, n_actions, init)
-                self._reward = REWARDS[config.reward](self.model)
+                self._reward = REWARDS[config.reward](self.model, n_streams)
         self.reward_parts: tuple[str, ...] = self._reward.parts if self._reward else ()
         self._modules = nn.ModuleDict(
             {k: v for k, v in (("policy", self.policy), ("model", self.model)) if v is not None}
@@ -119,6 +123,11 @@ class Explorer:
         for module in self._modules.modules():
             if isinstance(module, Encoder):
                 module.set_mean_image(images)
+
+    def entered(self, stream: int) -> None:
+        """Take note that a stream has entered another world."""
+        if self._reward is not None:
+            self._reward.entered(stream)
 
     @torch.no_grad()
     def act(self, images: Tensor) -> Acted:
@@ -253,7 +262,8 @@ class Explorer:
         """Weights, running statistics and the states of the generators, by name (the optimiser's state is apart)."""
         scale = {"reward_scale": torch.from_numpy(self.reward_scale.state.copy())}
         generators = {"act": self._act.get_state(), "learn": self._learn.get_state()}
-        return {**self._modules.state_dict(), **scale, **generators}
+        kept = {} if self._reward is None else {f"reward.{k}": v for k, v in self._reward.tensors().items()}
+        return {**self._modules.state_dict(), **scale, **generators, **kept}
 
     def load_tensors(self, tensors: dict[str, Tensor]) -> None:
         """Restore what `tensors` gave."""
@@ -261,6 +271,9 @@ class Explorer:
         self.reward_scale.state = rest.pop("reward_scale").numpy().copy()
         self._act.set_state(rest.pop("act"))
         self._learn.set_state(rest.pop("learn"))
+        kept = {name: rest.pop(name) for name in list(rest) if name.startswith("reward.")}
+        if self._reward is not None:
+            self._reward.load_tensors({name.removeprefix("reward."): value for name, value in kept.items()})
         self._modules.load_state_dict(rest)
 
 

@@ -1,10 +1,13 @@
 """Rewards from within: what a world model makes of the steps that were taken."""
 
+import hashlib
 import math
 from abc import ABC, abstractmethod
+from collections import Counter
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from gym_open.agents.world_model import Transitions, WorldModel
@@ -28,6 +31,16 @@ class Reward(ABC):
             actions: (T, N) int64.
         """
 
+    def entered(self, stream: int) -> None:  # noqa: B027  (most rewards do not mind)
+        """Called when a stream enters another world."""
+
+    def tensors(self) -> dict[str, Tensor]:
+        """What a checkpoint must keep, by name."""
+        return {}
+
+    def load_tensors(self, tensors: dict[str, Tensor]) -> None:  # noqa: B027  (most have nothing to keep)
+        """Restore what `tensors` gave."""
+
 
 class OwnError(Reward):
     """The world model's own error (Pathak et al. 2017, Burda et al. 2018): go where it is wrong."""
@@ -47,7 +60,8 @@ class Ride(Reward):
 
     Departures from the paper, each with its reason:
 
-    - No episodic counts: OPEn's text names only the distance, and play in a sandbox has no episodes.
+    - No episodic counts: OPEn's text names only the distance, and play in a sandbox has no episodes. `CountedRide` has
+      them.
     - No clipping to ±1: a reward is divided by its running deviation, which bounds its scale without cutting off what
       is most surprising.
     - RIDE does not train its own forward and inverse model (10 · forward + 0.1 · inverse): the latent space is that of
@@ -63,6 +77,60 @@ class Ride(Reward):
         """`‖latent(s′) − latent(s)‖₂` of each step."""
         latent = self._model.latent(images.flatten(0, 1)).view(*images.shape[:2], -1)
         return (latent[1:] - latent[:-1]).norm(dim=-1)[..., None]
+
+
+class CountedRide(Ride):
+    """Impact over √N, N being how often what a step led to was seen since its stream entered the world.
+
+    That is RIDE's own reward with "episode" read as "stay in a world". Without it, the largest impact can be had for
+    ever between the same two places. RIDE counts observations, which repeat in a grid world; here they hardly do, so
+    what is counted is a picture's cell (`cells`).
+    """
+
+    def __init__(self, model: WorldModel, n_streams: int) -> None:
+        super().__init__(model)
+        self._seen: list[Counter[int]] = [Counter() for _ in range(n_streams)]
+
+    def __call__(self, images: Tensor, actions: Tensor) -> Tensor:
+        """`‖latent(s′) − latent(s)‖₂ / √N(s′)` of each step, s′ itself counted."""
+        found = np.array(cells(images[1:].flatten(0, 1))).reshape(actions.shape)
+        counts = torch.ones(actions.shape)
+        for t, row in enumerate(found.tolist()):
+            for stream, (seen, here) in enumerate(zip(self._seen, row, strict=True)):
+                seen[here] += 1
+                counts[t, stream] = seen[here]
+        return super().__call__(images, actions) / counts.sqrt()[..., None]
+
+    def entered(self, stream: int) -> None:
+        """Forget what the stream has seen."""
+        self._seen[stream].clear()
+
+    def tensors(self) -> dict[str, Tensor]:
+        """The counts of each stream, (cells seen, 2) int64: the cell, and how often."""
+        pairs = [torch.tensor(list(seen.items()), dtype=torch.int64).view(-1, 2) for seen in self._seen]
+        return {f"seen/{stream}": pair for stream, pair in enumerate(pairs)}
+
+    def load_tensors(self, tensors: dict[str, Tensor]) -> None:
+        """Restore the counts."""
+        self._seen = [Counter(dict(tensors[f"seen/{stream}"].tolist())) for stream in range(len(self._seen))]
+
+
+_BLOCK = 7
+"""Edge in pixels: an object is two thirds of that wide, and a move takes it about one block on."""
+_LEVELS = 16
+"""Grey levels to one: an object's arrival changes a block's mean by more."""
+
+
+def cells(images: Tensor) -> list[int]:
+    """What each of B pictures (B, 84, 84, 3) uint8 shows, coarsely: 64 bits, the same for pictures that look alike.
+
+    As in Go-Explore (Ecoffet et al. 2021), a picture is made small and its levels few: here 12×12, each number the mean
+    of 7×7 pixels of a colour, 16 levels to one.
+    """
+    sums = F.avg_pool2d(images.permute(0, 3, 1, 2).float(), _BLOCK, divisor_override=1)  # of integers: exact
+    coarse = (sums.long() // (_BLOCK * _BLOCK * _LEVELS)).to(torch.uint8).numpy()
+    digests = (hashlib.blake2b(one.tobytes(), digest_size=8).digest() for one in coarse)
+    return [int.from_bytes(digest, "little", signed=True) for digest in digests]
 
 
 class RewardScale:

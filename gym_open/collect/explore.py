@@ -255,6 +255,7 @@ class Exploration:
             )
         )  # fmt: skip
         stream.switch(Switch(place.step, place.world, world, reason, losses))
+        self.explorer.entered(stream.index)
 
     def _end(self, reason: Ended, losses: list[float]) -> None:
         for stream in self.streams:

@@ -21,6 +21,7 @@ from gym_open.agents.config import (
 )  # fmt: skip
 from gym_open.agents.encoder import Encoder
 from gym_open.agents.explorer import REWARDS, Acted, Explorer, Learned
+from gym_open.agents.state import StateEncoder
 from gym_open.agents.world_model import Transitions
 from gym_open.agents.world_models import WORLD_MODELS
 
@@ -58,7 +59,7 @@ def play(one: Explorer, seen: Tensor) -> tuple[list[Acted], Learned]:
     return acted, one.learn(seen, acted)
 
 
-def first_weights(encoder: Encoder) -> Tensor:
+def first_weights(encoder: Encoder | StateEncoder) -> Tensor:
     return encoder.layers[0].get_parameter("weight").detach().clone()
 
 
@@ -80,7 +81,7 @@ def test_reward_and_parts_are_what_the_model_made_of_the_steps_before_it_learned
         assert one.reward_parts == ()
         assert not learned.reward.any()
         return
-    made = REWARDS[reward](twin.model)
+    made = REWARDS[reward](twin.model, 2)
     assert one.reward_parts == made.parts
     actions = torch.stack([now.actions for now in acted[:-1]])
     torch.testing.assert_close(learned.parts, made(seen, actions), rtol=1e-4, atol=1e-6)
@@ -110,6 +111,7 @@ def test_policy_and_model_share_an_encoder_unless_told_not_to(model: WorldModelN
         assert (one.policy.encoder is one.model.encoder) == shared
         one.set_mean_image(seen[0])
         for encoder in (one.policy.encoder, one.model.encoder):
+            assert isinstance(encoder, Encoder)
             torch.testing.assert_close(encoder.mean_image.permute(1, 2, 0), seen[0].float().mean(dim=0))
 
 

@@ -7,8 +7,10 @@ from torch import Tensor
 
 from gym_open.agents.config import EncoderConfig
 from gym_open.agents.encoder import Encoder
-from gym_open.agents.rewards import OwnError, RewardScale, Ride
+from gym_open.agents.rewards import CountedRide, OwnError, RewardScale, Ride, cells
 from gym_open.agents.world_model import Transitions, WorldModel
+from gym_open.envs.puzzles import Placement, Puzzle
+from gym_open.envs.world import World
 
 
 class Known(WorldModel):
@@ -19,14 +21,14 @@ class Known(WorldModel):
     def __init__(self) -> None:
         super().__init__(Encoder(EncoderConfig(features=2), torch.Generator()), loss_scale=1.0)
 
-    def loss(
+    def measure(
         self,
         transitions: Transitions,  # noqa: ARG002
         shifts: Tensor,
         generator: torch.Generator,  # noqa: ARG002
         features: Tensor | None = None,  # noqa: ARG002
-    ) -> Tensor:
-        return shifts.float().sum()
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        return shifts.float().sum(), {}
 
     def errors(self, transitions: Transitions) -> dict[str, Tensor]:
         change = transitions.next_obs[:, 0, 0, 0].float() - transitions.obs[:, 0, 0, 0].float()
@@ -55,6 +57,40 @@ def test_ride_is_the_distance_that_a_step_went_in_each_world(images: Tensor) -> 
 def test_no_change_is_no_impact(images: Tensor) -> None:
     still = images[:1].expand(4, -1, -1, -1, -1)
     assert not Ride(Known())(still, torch.zeros(3, 2, dtype=torch.int64)).any()
+
+
+def test_counted_ride_is_less_where_the_stream_was_before_and_forgets_when_it_leaves(images: Tensor) -> None:
+    a, b = images[0], images[1]
+    play = torch.stack([a, b, a, b, a])  # in both worlds, back and forth
+    actions = torch.zeros(4, 2, dtype=torch.int64)
+    plain = Ride(Known())(play, actions)[..., 0].numpy()
+    ride = CountedRide(Known(), 2)
+    found = ride(play, actions)[..., 0].numpy()
+    np.testing.assert_allclose(found, plain / np.sqrt([[1, 1], [1, 1], [2, 2], [2, 2]]), rtol=1e-6)
+    ride.entered(1)
+    other = CountedRide(Known(), 2)
+    other.load_tensors(ride.tensors())
+    for one in (ride, other):
+        again = one(play, actions)[..., 0].numpy()
+        np.testing.assert_allclose(again, plain / np.sqrt([[3, 1], [3, 1], [4, 2], [4, 2]]), rtol=1e-6)
+
+
+def test_a_cell_is_the_table_seen_coarsely() -> None:
+    """An agent that goes on by a cell is elsewhere; one that trembles is not."""
+    world = World()
+    world.load(Puzzle(task="sandbox", objects=(Placement("agent", 4, 4),)))
+    pictures = [world.observe()]
+    for action in (0, 1, 1, 1, 3, 3, 3):
+        world.step(action)
+        pictures.append(world.observe())
+    first, still, *moved = cells(torch.from_numpy(np.stack(pictures)))
+    assert first == still
+    assert len({first, *moved}) >= 5
+    grey = torch.full((3, 84, 84, 3), 100, dtype=torch.uint8) + torch.tensor([0, 1, 20], dtype=torch.uint8).view(
+        3, 1, 1, 1
+    )
+    a, b, c = cells(grey)
+    assert a == b != c
 
 
 def test_own_error_is_the_models_errors_by_step_and_in_the_order_of_its_parts(images: Tensor) -> None:
