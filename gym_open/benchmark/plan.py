@@ -13,12 +13,14 @@ from typing import Any, Literal, TypeVar
 import msgspec
 
 from gym_open import artefacts
-from gym_open.benchmark.config import AgentConfig, BenchmarkConfig
+from gym_open.benchmark.config import AgentConfig, BenchmarkConfig, TaskName
 from gym_open.collect.config import CollectConfig
 from gym_open.config import Config, check, load, to_dict
 from gym_open.datasets.config import ReleaseConfig
+from gym_open.envs.puzzles.sets import published_digests
+from gym_open.envs.puzzles.witnesses import witness_name
 from gym_open.errors import ConfigError
-from gym_open.evaluate.config import CheckpointConfig, EvaluateConfig
+from gym_open.evaluate.config import CheckpointConfig, EvaluateConfig, OracleConfig
 from gym_open.train.config import EncoderTrainConfig, PolicyTrainConfig, ProbeConfig
 
 C = TypeVar("C", bound=Config)
@@ -168,7 +170,7 @@ class _Planner:
         out = self.out / "train/encoders" / name
         return self.add(Job(name, "train encoder", out, config, config.updates, options, (built,)))
 
-    def run(self, agent: AgentConfig, task: str, seed: int) -> None:
+    def run(self, agent: AgentConfig, task: TaskName, seed: int) -> None:
         """One agent learns one task with one seed, and is scored at every checkpoint."""
         made = self.encoder(agent, seed)
         config = self.read(
@@ -187,18 +189,20 @@ class _Planner:
         options = ("--policy", str(policy.out))
         self.score(name, task, options, policy)
         for at in before_the_end(config):
-            self.score(f"{name}-at{at}", task, (*options, "--at", str(at)), policy, at=at)
+            key = CheckpointConfig(**{**to_dict(self.evaluation), "task": task}, at=at)
+            self.score(f"{name}-at{at}", task, (*options, "--at", str(at)), policy, key=key)
 
-    def references(self, task: str) -> None:
+    def references(self, task: TaskName) -> None:
         """What every agent's scores stand between: random actions and the planner's."""
+        split = self.evaluation.split
+        witnesses = published_digests()[witness_name(task, split)]
         self.score(f"random-{task}", task, ())
-        self.score(f"oracle-{task}", task, ("--oracle",))
+        self.score(f"oracle-{task}", task, ("--oracle",), key=OracleConfig(task=task, split=split, witnesses=witnesses))
 
-    def score(self, name: str, task: str, options: Sequence[str], *needs: Job, at: int | None = None) -> None:
+    def score(self, name: str, task: TaskName, options: Sequence[str], *needs: Job, key: Config | None = None) -> None:
         """One evaluation."""
         config = check(msgspec.structs.replace(self.evaluation, task=task), source="tasks")
         out = self.out / "evaluate/scores" / name
-        key = None if at is None else CheckpointConfig(**to_dict(config), at=at)
         self.add(Job(f"score-{name}", "evaluate", out, config, _PUZZLES, tuple(options), needs, key))
 
 

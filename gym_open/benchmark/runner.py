@@ -72,13 +72,15 @@ class Runner:
         self.folder.mkdir(parents=True, exist_ok=True)
         for job in self._jobs:
             write_atomically(self.folder / f"{job.name}.toml", job.toml().encode())
+        for job in self._jobs:
+            if all(self.runs[need.name].done for need in job.needs) and job.is_up_to_date():
+                self.runs[job.name].state = "up to date"
+                screen.show(self)
         try:
             while not all(run.ended for run in self.runs.values()):
-                for job in self._ready():
-                    if len(self._children) == self.width:
-                        break
-                    self._begin(job)
-                    screen.show(self)
+                for job in self._ready()[: self.width - len(self._children)]:
+                    self._children[job.name] = Child(job, self.folder)
+                    self.runs[job.name].state = "running"
                 screen.show(self)
                 time.sleep(_LOOK)
                 for name in list(self._children):
@@ -92,13 +94,6 @@ class Runner:
         waiting = [run.job for run in self.runs.values() if run.state == "waiting"]
         ready = [job for job in waiting if all(self.runs[need.name].done for need in job.needs)]
         return sorted(ready, key=lambda job: (job.stage not in ("evaluate", "train probe"), -self._chains[job.name]))
-
-    def _begin(self, job: Job) -> None:
-        if job.is_up_to_date():
-            self.runs[job.name].state = "up to date"
-        else:
-            self._children[job.name] = Child(job, self.folder)
-            self.runs[job.name].state = "running"
 
     def _look(self, name: str) -> None:
         run, child = self.runs[name], self._children[name]

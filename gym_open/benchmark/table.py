@@ -53,7 +53,7 @@ class Screen:
         for name, run in runner.runs.items():
             if run.state not in ("waiting", self._said.get(name)):
                 self._said[name] = run.state
-                took = f" ({duration(run.seconds)})" if run.state in ("made", "up to date", "failed") else ""
+                took = f" ({duration(run.seconds)})" if run.seconds else ""
                 reason = f": {run.reason}" if run.reason else ""
                 self._line(f"{name}: {run.state}{took}{reason}")
         if time.monotonic() - self._lately >= _EVERY:

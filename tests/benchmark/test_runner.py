@@ -146,7 +146,7 @@ def test_nothing_is_started_for_an_artefact_that_is_whole_and_of_the_same_inputs
     assert [log.name for log in logs.glob("*.log")] == ["other.log"]
     (play.out / "payload").write_text("forged")
     run(tmp_path, [play, score])
-    assert sorted(log.name for log in logs.glob("*.log")) == ["other.log", "play.log"]
+    assert sorted(log.name for log in logs.glob("*.log")) == ["other.log", "play.log", "score.log"]
 
 
 def test_a_job_that_a_signal_ends_is_a_failure(tmp_path: Path) -> None:

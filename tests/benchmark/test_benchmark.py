@@ -1,0 +1,116 @@
+"""A tiny grid, as a person runs it: killed and gone on with, with a job that fails, and again when all is done."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from gym_open import artefacts, workspace
+
+TINY = {
+    "collect/tiny.toml": "steps = 512\nstreams = 2\ncheckpoint_every = 2\n[explorer.encoder]\nfeatures = 64\n",
+    "train/tiny-encoder.toml": "updates = 6\nreport_every = 3\nbatch_size = 16\n[encoder]\nfeatures = 64\n",
+    "train/tiny.toml": "steps = 256\nnum_envs = 4\nnum_steps = 32\nmean_images = 20\n[encoder]\nfeatures = 64\n",
+    "evaluate/tiny.toml": "",
+    "grid.toml": """
+        tasks = ["goal-seeking"]
+        seeds = [0]
+        checkpoints = [100]
+        evaluate = "evaluate/tiny.toml"
+        [[agents]]
+        name = "scratch"
+        policy = "train/tiny.toml"
+        [[agents]]
+        name = "curl+ride"
+        collect = "collect/tiny.toml"
+        online = true
+        policy = "train/tiny.toml"
+        [[agents]]
+        name = "curl+ride-offline"
+        collect = "collect/tiny.toml"
+        encoder = "train/tiny-encoder.toml"
+        frozen = true
+        policy = "train/tiny.toml"
+    """,
+}
+JOBS = 14
+"""Play, release, encoder; three policies, each scored twice; random and oracle."""
+BROKEN = TINY["train/tiny-encoder.toml"].replace("updates", "learning_rate = 1e30\nupdates")
+"""An encoder whose loss is soon no number."""
+
+
+def _workspace(root: Path) -> Path:
+    workspace.init(root)
+    for name, text in TINY.items():
+        (root / name).write_text(text)
+    return root
+
+
+def _start(root: Path) -> subprocess.Popen[str]:
+    words = ["benchmark", str(root / "grid.toml"), "--workspace", str(root), "--out", str(root / "out"), "--jobs", "2"]
+    command = [sys.executable, "-m", "gym_open.cli", *words]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+
+
+def _digests(root: Path) -> dict[str, str]:
+    found = {path.parent for path in (root / "out").glob("**/manifest.json")}
+    return {path.relative_to(root).as_posix(): artefacts.digest(path) for path in sorted(found)}
+
+
+def _end(process: subprocess.Popen[str]) -> tuple[int, str]:
+    said, _ = process.communicate()
+    return process.returncode, said
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_killed_broken_and_mended_it_ends_as_if_nothing_had_been(tmp_path: Path) -> None:
+    root, other = _workspace(tmp_path / "a"), _workspace(tmp_path / "b" / "elsewhere")
+    (other / "train/tiny-encoder.toml").write_text(BROKEN)
+    first = _start(other)
+    begun = other / "out/train/policies/.scratch-goal-seeking-seed0.partial" / artefacts.SCRATCH
+    until = time.monotonic() + 300
+    while not any(begun.glob("*.safetensors")):
+        assert first.poll() is None, _end(first)
+        assert time.monotonic() < until
+        time.sleep(0.01)
+    os.kill(first.pid, signal.SIGKILL)
+    _end(first)
+
+    code, said = _end(_start(other))
+    assert code == 1, said
+    assert "failed encoder-tiny-of" not in said
+    assert "1 of 14 jobs failed and 3 that need them were not begun" in said
+    assert "alone: OMP_NUM_THREADS=1 gym-open train encoder --config " in said
+    report = (other / "out/report/report.md").read_text()
+    assert "curl+ride" in report
+    assert "curl+ride-offline" not in report
+
+    (other / "train/tiny-encoder.toml").write_text(TINY["train/tiny-encoder.toml"])
+    code, said = _end(_start(other))
+    assert code == 0, said
+    assert said.count(": up to date\n") == JOBS - 4
+    code, said = _end(_start(root))
+    assert code == 0, said
+    assert said.count(": made (") == JOBS
+
+    mine, theirs = _digests(root), _digests(other)
+    assert len(mine) == JOBS + 1
+    assert {name: theirs[name] for name in mine} == mine
+
+    scores = [json.loads(path.read_text()) for path in (root / "out").glob("evaluate/scores/*/scores.json")]
+    assert sorted((score["agent"], score["trained"]) for score in scores) == [
+        (agent, steps) for agent in ("curl+ride", "curl+ride-offline", "scratch") for steps in (128, 256)
+    ] + [("oracle", 0), ("random", 0)]
+    assert {score["proof"]["verdict"] for score in scores if score["agent"].startswith("curl")} == {"proven"}
+
+    before = {path: path.stat().st_mtime_ns for path in (root / "out").glob("*/**/*.log")}
+    code, said = _end(_start(root))
+    assert code == 0, said
+    assert said.count(": up to date\n") == JOBS
+    assert {path: path.stat().st_mtime_ns for path in before} == before  # no process was started
