@@ -136,18 +136,19 @@ def test_the_oracle_takes_no_policy(tmp_path: Path) -> None:
 
 
 def _sees(seen: np.ndarray) -> np.ndarray:
-    """Probabilities that another pixel, or another number of a state, would make others."""
-    return np.stack([np.random.default_rng(zlib.crc32(one.tobytes())).dirichlet(np.ones(N_ACTIONS)) for one in seen])
+    """Probabilities that another pixel, or another number of a state, would make others; action 0 would stay there."""
+    moves = [np.random.default_rng(zlib.crc32(one.tobytes())).dirichlet(np.ones(N_ACTIONS - 1)) for one in seen]
+    return np.insert(np.stack(moves), 0, 0.0, axis=1)
 
 
 @pytest.mark.parametrize(("threads", "states"), [(1, False), (3, False), (2, True)])
 def test_puzzles_side_by_side_go_as_each_does_alone(threads: int, *, states: bool) -> None:
     """To the bit: pictures, or states, rewards and ends, against Gymnasium's plain loop."""
-    puzzles = fixed_puzzles("goal-seeking")[:8]
-    config = EvaluateConfig(actions="greedy", threads=threads)
-    episodes = play(_sees, "goal-seeking", puzzles, config, states=states)
+    puzzles = fixed_puzzles("avoidance")[1:8]
+    config = EvaluateConfig(task="avoidance", actions="greedy", threads=threads)
+    episodes = play(_sees, "avoidance", puzzles, config, states=states)
     for i, puzzle in enumerate(puzzles):
-        env = OpenEnv("goal-seeking")
+        env = OpenEnv("avoidance")
         image, _ = env.reset(options={"puzzle": puzzle})
         terminated = truncated = False
         for t in range(episodes.steps[i]):
