@@ -23,6 +23,10 @@ class EncoderArchitecture(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
     kind: Literal["encoder"] = "encoder"
     encoder: EncoderConfig
 
+    def __post_init__(self) -> None:
+        if self.encoder.architecture == "state":
+            raise ValueError("`encoder.architecture` 'state' looks at no picture")
+
 
 class PolicyArchitecture(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Contents of a policy's model.json."""

@@ -36,6 +36,11 @@ def test_encoder_comes_back_bit_for_bit(tmp_path: Path) -> None:
     assert torch.equal(found(found.prepare(images())), net(net.prepare(images())))
 
 
+def test_a_logs_encoder_is_found_in_it(tmp_path: Path) -> None:
+    save_encoder(tmp_path / "encoder", encoder())
+    assert torch.equal(load_encoder(tmp_path).encode(images()), encoder().encode(images()))
+
+
 def test_policy_comes_back_bit_for_bit(tmp_path: Path) -> None:
     net = policy()
     save_policy(tmp_path, net)
@@ -80,7 +85,13 @@ def test_a_policy_is_no_encoder(tmp_path: Path) -> None:
         load_encoder(tmp_path)
 
 
-@pytest.mark.parametrize("text", ["", "{}", "[1", '{"kind": "encoder", "encoder": {"features": 0}}'])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "{}", "[1", '{"kind": "encoder", "encoder": {"features": 0}}',
+        '{"kind": "encoder", "encoder": {"architecture": "state"}}',
+    ],
+)  # fmt: skip
 def test_a_damaged_architecture_is_named(tmp_path: Path, text: str) -> None:
     save_encoder(tmp_path, encoder())
     (tmp_path / "model.json").write_text(text)
