@@ -185,11 +185,11 @@ def run_benchmark(config: BenchmarkConfig, out: Path, *, root: Path, jobs: int |
             _tell(run, runner.folder, console)
         report = _report([run.job for run in runner.runs.values() if run.done], out)
     if failed or report is None:
+        if report is not None:
+            console.print(f"the report is of what there is: {markup(str(report))}", highlight=False, soft_wrap=True)
         held_up = sum(run.state == "held up" for run in runner.runs.values())
-        raise GymOpenError(
-            f"{len(failed)} of {len(plan)} jobs failed and {held_up} that need them were not begun, see above; the "
-            "same command goes on with them"
-        )
+        others = f", and {held_up} that need what they make were not begun" if held_up else ""
+        raise GymOpenError(f"{len(failed)} of {len(plan)} jobs failed{others}: see above; the same command tries again")
     return report
 
 

@@ -85,7 +85,7 @@ def test_killed_broken_and_mended_it_ends_as_if_nothing_had_been(tmp_path: Path)
     code, said = _end(_start(other))
     assert code == 1, said
     assert "failed encoder-tiny-of" not in said
-    assert "1 of 14 jobs failed and 3 that need them were not begun" in said
+    assert "1 of 14 jobs failed, and 3 that need what they make were not begun" in said
     assert "alone: OMP_NUM_THREADS=1 gym-open train encoder --config " in said
     report = (other / "out/report/report.md").read_text()
     assert "curl+ride" in report
