@@ -42,11 +42,12 @@ def write_report(config: ReportConfig, sources: Sequence[Path], out: Path) -> ar
 def _write(folder: Path, config: ReportConfig, found: Sources) -> Mapping[str, Any]:
     from gym_open.evaluate.report import notes, page, provenance
     from gym_open.evaluate.report.figures import draw
+    from gym_open.evaluate.report.probes import probed
     from gym_open.evaluate.report.results import evaluate_runs
 
     results = evaluate_runs(found.runs, config)
-    proven = provenance.proofs(found.runs)
-    settings, recipes = provenance.recipes(found.runs, found.configs)
+    proven = provenance.proofs(found.runs, results.agents)
+    settings, recipes = provenance.recipes(found.runs, results.agents, found.configs)
     content = page.Content(
         title=config.title,
         config=to_dict(config),
@@ -54,7 +55,7 @@ def _write(folder: Path, config: ReportConfig, found: Sources) -> Mapping[str, A
         findings=list(notes.findings(results)),
         notes=list(notes.notes(results, found.runs, proven, found.left_out)),
         proofs=proven,
-        probes=[],
+        probes=probed(found.probes, found.runs),
         settings=settings,
         recipes=recipes,
         makers=_makers(found.runs),

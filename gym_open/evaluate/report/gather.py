@@ -24,6 +24,8 @@ from gym_open.terminal import printable
 PROBE = "probe.json"
 UNTRAINED = ("random", "oracle", "human")
 """Agents that no training made."""
+_CEILING = "state"
+"""Word in the name of an agent that sees the simulator's state and no pictures."""
 _LONGEST = 80
 """Characters of a name that are shown."""
 _SAME = 1e-9
@@ -34,6 +36,19 @@ def one_line(text: str) -> str:
     """Text from a file on one line, nothing hidden in it, and not endless."""
     shown = printable(text).replace("\n", " ")
     return shown if len(shown) <= _LONGEST else f"{shown[:_LONGEST]}…"
+
+
+def standing(name: str) -> int:
+    """Place of a row: 0 for those that are compared, 1 for what sees the state, then random, oracle and human."""
+    first = name.partition(",")[0]
+    if first in UNTRAINED:
+        return 2 + UNTRAINED.index(first)
+    return int(_CEILING in re.findall("[a-z]+", name.lower()))
+
+
+def is_trained(name: str) -> bool:
+    """Whether an agent of that name was trained, on pictures or on the state."""
+    return standing(name) < 2
 
 
 @dataclass(frozen=True)
@@ -84,6 +99,7 @@ class Run:
 class Probe:
     """One probe artefact."""
 
+    folder: Path
     digest: str
     lineage: Lineage
     record: dict[str, Any]
@@ -191,7 +207,7 @@ def _episodes(folder: Path, budget: int) -> tuple[tuple[str, ...], np.ndarray]:
 
 def _probe(folder: Path) -> Probe:
     digest = artefacts.verify(folder, "probe")
-    return Probe(digest, artefacts.lineage(folder), _decode(folder / PROBE, dict[str, Any]))
+    return Probe(folder, digest, artefacts.lineage(folder), _decode(folder / PROBE, dict[str, Any]))
 
 
 def _decode(path: Path, kind: Any) -> Any:

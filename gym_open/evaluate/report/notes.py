@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 
 from gym_open.envs.puzzles.sets import PER_SET
 from gym_open.evaluate.paper import PAPER_STEPS
-from gym_open.evaluate.report.gather import UNTRAINED, Run, one_line
+from gym_open.evaluate.report.gather import Run, is_trained, one_line, standing
 from gym_open.evaluate.report.provenance import Proven
 from gym_open.evaluate.report.results import Cell, Results
 from gym_open.evaluate.report.words import count, interval, number, signed, steps
@@ -19,31 +19,27 @@ def findings(results: Results) -> Iterator[str]:
     """Two sentences a task: who is best, and who differs from the reference beyond the interval of the difference."""
     for task in results.tasks:
         cells = [cell for cell in results.cells if cell.task == task]
-        trained = [cell for cell in cells if cell.agent.split(",")[0] not in UNTRAINED]
-        if not trained:
+        compared = [cell for cell in cells if standing(cell.agent) == 0]
+        if not compared:
             continue
-        best = max(trained, key=lambda cell: cell.score.value)
+        best = max(compared, key=lambda cell: cell.score.value)
         others = ", ".join(
             f"{cell.agent} {number(cell.score.value)}"
             for cell in cells
-            if cell.agent in (*UNTRAINED, results.reference) and cell is not best
+            if (standing(cell.agent) or cell.agent == results.reference) and cell is not best
         )
-        text = f"{task}: best of those trained is {best.agent} with {number(best.score.value)} {interval(best.score)}"
-        yield text + (f" ({others})." if others else ".") + _gains(trained, results.reference)
+        text = f"{task}: best is {best.agent} with {number(best.score.value)} {interval(best.score)}"
+        yield text + (f"; {others}." if others else ".") + _gains(compared, results.reference)
 
 
 def _gains(trained: Sequence[Cell], reference: str | None) -> str:
     compared = [(cell.agent, cell.gain) for cell in trained if cell.gain is not None]
     if not compared or reference is None:
         return ""
-    firm = [
-        f"{agent} {'above' if gain.value > 0 else 'below'} it by {signed(gain)}"
-        for agent, gain in compared
-        if (gain.low or 0) > 0 or (gain.high or 0) < 0
-    ]
+    firm = [f"{agent} {signed(gain)}" for agent, gain in compared if (gain.low or 0) > 0 or (gain.high or 0) < 0]
     if not firm:
-        return f" No other is told apart from {reference}: every interval of a difference holds 0."
-    return f" Told apart from {reference}: {'; '.join(firm)}."
+        return f" None is told apart from {reference}: every interval of a difference holds 0."
+    return f" Told apart from {reference}: {', '.join(firm)}."
 
 
 def notes(results: Results, runs: Sequence[Run], proven: Sequence[Proven], left_out: Sequence[str]) -> Iterator[str]:
@@ -62,7 +58,7 @@ def notes(results: Results, runs: Sequence[Run], proven: Sequence[Proven], left_
 
 
 def _on_runs(results: Results) -> Iterator[str]:
-    trained = [cell for cell in results.cells if cell.agent.split(",")[0] not in UNTRAINED]
+    trained = [cell for cell in results.cells if is_trained(cell.agent)]
     single = Counter(cell.agent for cell in trained if len(cell.seeds) == 1)
     if single:
         names = ", ".join(single)
@@ -78,14 +74,14 @@ def _on_runs(results: Results) -> Iterator[str]:
         f"{agent} on {task}"
         for agent in results.agents
         for task in results.tasks
-        if agent.split(",")[0] not in UNTRAINED and results.cell(agent, task) is None
+        if is_trained(agent) and results.cell(agent, task) is None
     ]
     if holes:
         yield f"Not scored: {', '.join(holes)}. Figures over tasks take the tasks that an agent has."
 
 
 def _on_comparisons(results: Results) -> Iterator[str]:
-    runs = [len(cell.seeds) for cell in results.cells if cell.agent.split(",")[0] not in UNTRAINED]
+    runs = [len(cell.seeds) for cell in results.cells if is_trained(cell.agent) and len(cell.seeds) > 1]
     if len(runs) > 1 and min(runs) < _FEW:
         n = min(runs)
         yield (
@@ -93,6 +89,9 @@ def _on_comparisons(results: Results) -> Iterator[str]:
             f"{number(least_p_value(n, n), 2)} by Mann and Whitney's exact test. Bootstrap intervals of so few runs "
             "are too narrow."
         )
+    ceilings = [agent for agent in results.agents if standing(agent) == 1]
+    if ceilings:
+        yield f"{', '.join(ceilings)} sees the simulator's state, no pictures: a ceiling, never called the best."
     if any(aggregate.runs < 4 for aggregate in results.aggregates):
         yield "Of fewer than four scores the interquartile mean cuts none: it is the mean of the scores then."
 
@@ -114,7 +113,7 @@ def _on_makers(runs: Sequence[Run]) -> Iterator[str]:
     if len(codes) > 1:
         listed = ", ".join(f"{code} ({count(n, 'score')})" for code, n in sorted(codes.items()))
         yield f"Scored by {len(codes)} versions of the code: {listed}."
-    seeds = {run.record.evaluation_seed for run in runs if run.record.agent not in UNTRAINED}
+    seeds = {run.record.evaluation_seed for run in runs if is_trained(run.name)}
     if len(seeds) > 1:
         listed = ", ".join(sorted(map(str, seeds)))
         yield f"Policies' actions were drawn with different evaluation seeds ({listed})."

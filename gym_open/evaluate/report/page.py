@@ -1,17 +1,22 @@
 """A report as a page (HTML, one file, nothing fetched, no script) and as Markdown."""
 
 import base64
+import re
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from gym_open.evaluate.report import words
 from gym_open.evaluate.report.config import ReportConfig
 from gym_open.evaluate.report.figures import Drawn
-from gym_open.evaluate.report.gather import UNTRAINED
+from gym_open.evaluate.report.gather import standing
+from gym_open.evaluate.report.probes import Probed
 from gym_open.evaluate.report.provenance import Proven, Recipe, Setting
 from gym_open.evaluate.report.results import Cell, Results
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
 
 
 class Content(msgspec.Struct, frozen=True):
@@ -23,7 +28,7 @@ class Content(msgspec.Struct, frozen=True):
     findings: list[str]
     notes: list[str]
     proofs: list[Proven]
-    probes: list[dict[str, Any]]
+    probes: list[Probed]
     settings: list[Setting]
     recipes: list[Recipe]
     makers: list[dict[str, Any]]
@@ -48,28 +53,43 @@ def _render(template: str, content: Content, figures: Sequence[Drawn], config: R
         autoescape=jinja2.select_autoescape(["html.jinja"]), trim_blocks=True, lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )  # fmt: skip
-    environment.filters |= {
-        "number": words.number, "interval": words.interval, "signed": words.signed, "steps": words.steps, "data": _data,
-        "cell": _table_cell,
-    }  # fmt: skip
-    by_pair = {(one.agent, one.other): one for one in content.results.improvements}
+    environment.filters |= {name: getattr(words, name) for name in ("number", "interval", "signed", "steps")}
+    environment.filters |= {"data": _data, "cell": _table_cell, "breakable": _breakable}
+    results = content.results
+    by_pair = {(one.agent, one.other): one for one in results.improvements}
     return environment.get_template(template).render(
-        c=content, r=content.results, config=config, count=words.count, figures=figures, compared=_compared(content),
-        improvement=lambda agent, other: by_pair.get((agent, other)), best=_best(content.results), bound=_bound,
+        c=content,
+        r=results,
+        config=config,
+        figures=figures,
+        best=_best(results),
+        compared=_compared(results),
         percent=f"{100 * config.confidence:.3g}%",
-    )  # fmt: skip
+        bound=_bound,
+        count=words.count,
+        crossing=lambda task: _crossing(results, task),
+        improvement=lambda agent, other: by_pair.get((agent, other)),
+        standing=standing,
+    )
 
 
-def _compared(content: Content) -> list[str]:
+def _compared(results: Results) -> list[str]:
     """Agents of the matrix, in the order of the rows."""
-    there = {one.agent for one in content.results.improvements}
-    return [agent for agent in content.results.agents if agent in there]
+    there = {one.agent for one in results.improvements}
+    return [agent for agent in results.agents if agent in there]
 
 
 def _best(results: Results) -> dict[str, str]:
-    """The trained agent with the highest mean, by task."""
-    trained = [cell for cell in results.cells if cell.agent.split(",")[0] not in UNTRAINED]
-    return {cell.task: cell.agent for cell in sorted(trained, key=lambda cell: cell.score.value)}
+    """The agent with the highest mean of those that are compared, by task."""
+    compared = [cell for cell in results.cells if standing(cell.agent) == 0]
+    return {cell.task: cell.agent for cell in sorted(compared, key=lambda cell: cell.score.value)}
+
+
+def _crossing(results: Results, task: str) -> tuple[list[Cell], list[str]]:
+    """Of a task, agents that reached some threshold in some run, and the names of the other trained ones."""
+    trained = [cell for cell in results.cells if cell.task == task and cell.trained]
+    there = [cell for cell in trained if any(steps is not None for one in cell.crossings for steps in one.steps)]
+    return there, [cell.agent for cell in trained if cell not in there]
 
 
 def _bound(cell: Cell, value: float | None, *, short: bool = False) -> str:
@@ -77,6 +97,14 @@ def _bound(cell: Cell, value: float | None, *, short: bool = False) -> str:
     if value is None:
         return "–" if short else "not reached"
     return f"{'≤ ' if value <= cell.learning.x[0] else ''}{words.steps(value)}"
+
+
+def _breakable(name: str) -> "Markup":
+    """A name that a narrow column may break behind any mark, and within a long word."""
+    from markupsafe import Markup, escape
+
+    parts = re.findall(r"[^\W_]{1,12}|[\W_]", name)
+    return Markup("").join(escape(part) if part.isalnum() else escape(part) + Markup("<wbr>") for part in parts)
 
 
 def _data(svg: bytes) -> str:

@@ -12,7 +12,7 @@ from gym_open.evaluate.proof import Proof, task_free_proof
 from gym_open.evaluate.report.gather import UNTRAINED, Run, one_line
 from gym_open.terminal import printable
 
-_VARIES = ("seed", "task", "agent")
+_VARIES = ("seed", "task", "agent", "at")
 """Keys that commands give as options, so that one file serves all runs."""
 _STAGES = {"log": "collect", "release": "release", "encoder": "encoder", "policy": "policy"}
 """Name of a configuration file, by kind of artefact."""
@@ -22,15 +22,22 @@ class Proven(msgspec.Struct, frozen=True):
     """The proof of some runs of an agent, walked again for the report."""
 
     agent: str
-    runs: list[str]
-    """Task and seed of each."""
+    scores: int
     verdict: str
     reasons: list[str]
-    chains: list[list[str]]
-    """Links of each run, from the policy down to the logs."""
+    chains: list["Chain"]
     rests_on: str
     recorded: list[str]
     """Verdicts in the scores, where they differ from this one."""
+
+
+class Chain(msgspec.Struct, frozen=True):
+    """Policies that come from the same encoder."""
+
+    links: list[str]
+    """Below the policy, down to the logs; none if it started from nothing."""
+    policies: list[str]
+    """Task, seed and digest of each."""
 
 
 class Setting(msgspec.Struct, frozen=True):
@@ -55,8 +62,8 @@ class Recipe(msgspec.Struct, frozen=True):
     commands: list[str]
 
 
-def proofs(runs: Sequence[Run]) -> list[Proven]:
-    """The task-free proof of every run, equal ones of an agent together."""
+def proofs(runs: Sequence[Run], agents: Sequence[str]) -> list[Proven]:
+    """The task-free proof of every run, equal ones of an agent together, agents in the given order."""
     groups: dict[tuple[str, str, tuple[str, ...], str], list[tuple[Run, Proof]]] = {}
     for run in runs:
         proof = _proof(run)
@@ -66,17 +73,22 @@ def proofs(runs: Sequence[Run]) -> list[Proven]:
     return [
         Proven(
             agent=agent, verdict=verdict, reasons=list(reasons), rests_on=rests_on,
-            runs=[_label(run) for run, _ in members],
-            chains=[[one_line(link) for link in proof.chain] for _, proof in members],
+            scores=len(members), chains=_chains(members),
             recorded=sorted({run.record.proof.verdict for run, _ in members} - {verdict}),
         )
-        for (agent, verdict, reasons, rests_on), members in groups.items()
+        for (agent, verdict, reasons, rests_on), members in sorted(
+            groups.items(), key=lambda item: (agents.index(item[0][0]), item[0][1:])
+        )
     ]  # fmt: skip
 
 
-def _label(run: Run) -> str:
-    policy = f", policy {one_line(run.record.policy)}" if run.record.policy else ""
-    return f"{run.record.task}, seed {run.seed}, {run.trained:,} steps{policy}"
+def _chains(members: Sequence[tuple[Run, Proof]]) -> list[Chain]:
+    policies: dict[tuple[str, ...], dict[str, None]] = {}
+    for run, proof in members:
+        if run.lineage.parents:
+            own = policies.setdefault(tuple(one_line(link) for link in proof.chain[1:]), {})
+            own[f"{run.record.task}, seed {run.seed}: {run.lineage.parents[0].digest}"] = None
+    return [Chain(list(links), list(own)) for links, own in policies.items()]
 
 
 def _proof(run: Run) -> Proof:
@@ -114,14 +126,21 @@ class _Link(msgspec.Struct, frozen=True):
         yield self
 
 
-def recipes(runs: Sequence[Run], configs: Mapping[str, dict[str, Any]]) -> tuple[list[Setting], list[Recipe]]:
+def recipes(
+    runs: Sequence[Run], agents: Sequence[str], configs: Mapping[str, dict[str, Any]]
+) -> tuple[list[Setting], list[Recipe]]:
     """The distinct configurations behind some runs, and the commands for every agent.
 
     Args:
         runs: scores.
+        agents: their names, in the order of the recipes.
         configs: configurations by SHA-256 of their file.
     """
-    chains = [_chain(run, configs) for run in runs if run.record.agent not in ("human", "oracle")]
+    chains = [
+        _chain(run, configs)
+        for run in sorted(runs, key=lambda run: agents.index(run.name))
+        if run.record.agent not in ("human", "oracle")
+    ]
     links = [link for chain in chains for link in chain.walk()]
     named: dict[tuple[str, bytes | str], Setting] = {}
     for link in links:
@@ -137,9 +156,9 @@ def recipes(runs: Sequence[Run], configs: Mapping[str, dict[str, Any]]) -> tuple
             if value not in values:
                 values.append(value)
     recipes = []
-    for agent in dict.fromkeys(run.name for run in runs):
+    for agent in agents:
         own = [run for run in runs if run.name == agent]
-        heads = [chain for chain in chains if chain.run.name == agent]
+        heads = sorted((one for one in chains if one.run.name == agent), key=lambda one: -one.run.trained)
         recipes.append(
             Recipe(
                 agent=agent,
@@ -205,7 +224,8 @@ def _command(link: _Link, file: str, names: Mapping[str, str], *, follows: bool)
     task = " --task $TASK" if "task" in config else ""
     agent = f" --agent {shlex.quote(one_line(str(config['agent'])))}" if config.get("agent") else ""
     seed = "" if "seed" not in config else " --seed $SEED" if follows else f" --seed {config['seed']}"
-    return f"gym-open {words} --config {file}{task}{agent}{seed} --out {names[link.place]}"
+    at = f" --at {config['at']}" if "at" in config else ""
+    return f"gym-open {words} --config {file}{task}{agent}{seed}{at} --out {names[link.place]}"
 
 
 def _toml(config: Mapping[str, Any]) -> str:

@@ -11,7 +11,7 @@ from gym_open.envs.puzzles import TASKS
 from gym_open.evaluate import statistics
 from gym_open.evaluate.paper import PAPER, PaperScore, paper_name
 from gym_open.evaluate.report.config import ReportConfig
-from gym_open.evaluate.report.gather import UNTRAINED, Run
+from gym_open.evaluate.report.gather import Run, is_trained, standing
 
 
 class Estimate(msgspec.Struct, frozen=True):
@@ -114,7 +114,7 @@ def evaluate_runs(runs: Sequence[Run], config: ReportConfig) -> Results:
     rows = {key: row for key, row in rows.items() if row.final}
     cells = [_cell(row, rows.get((reference or "", row.task)), config) for row in rows.values()]
     per_run = {(cell.agent, cell.task): np.array(cell.per_run) for cell in cells}
-    learners = [agent for agent in agents if not _is_untrained(agent) or agent == "random"]
+    learners = [agent for agent in agents if is_trained(agent) or agent == "random"]
     return Results(
         agents=agents,
         tasks=list(tasks),
@@ -126,19 +126,10 @@ def evaluate_runs(runs: Sequence[Run], config: ReportConfig) -> Results:
     )
 
 
-def _is_untrained(agent: str) -> bool:
-    return agent.split(",", maxsplit=1)[0] in UNTRAINED
-
-
 def _place(agent: str) -> tuple[int, int, str]:
-    """Trained agents as the paper orders them, others by name; then random, oracle, human."""
-    first = agent.split(",", maxsplit=1)[0]
+    """Trained agents as the paper orders them, others by name; then what sees the state, random, oracle, human."""
     paper = paper_name(agent)
-    return (
-        UNTRAINED.index(first) + 1 if first in UNTRAINED else 0,
-        list(PAPER).index(paper) if paper else len(PAPER),
-        agent,
-    )
+    return standing(agent), list(PAPER).index(paper) if paper else len(PAPER), agent
 
 
 def _reference(agents: Sequence[str], config: ReportConfig) -> str | None:

@@ -17,10 +17,10 @@ def interval(estimate: Estimate, digits: int = 2) -> str:
 
 
 def signed(estimate: Estimate) -> str:
-    """`+.023 [−.01, .05]`."""
+    """`+.023 [−.011, .054]`."""
     value = number(estimate.value)
     sign = "" if value.startswith("−") else "+"
-    return f"{sign}{value} {interval(estimate)}".rstrip()
+    return f"{sign}{value} {interval(estimate, 3)}".rstrip()
 
 
 def steps(value: float | None) -> str:
