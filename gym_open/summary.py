@@ -57,17 +57,29 @@ def _training_steps(scores: Path) -> int:
 
 
 def probe_table(path: Path) -> Table:
-    """One row a target: how well a linear map reads it from the encoder's features on held-out worlds."""
-    table = Table(title="linear probe: R², error in cells", title_justify="left")
-    table.add_column("position of")
+    """One row a target: how well a linear map reads it from features on held-out worlds, and what training gained."""
     targets = read_json(path / "probe.json")["targets"]
-    features = list(next(iter(targets.values())))
-    for name in features:
-        table.add_column(name, justify="right")
+    features = list(next(iter(targets.values()))["scores"])
+    table = Table(title="linear probe (error in cells)", title_justify="left")
+    for name in ("target", "measure"):
+        table.add_column(name)
+    for name in ("guess", *features, "gain (95%)"):
+        table.add_column(name, justify="right", no_wrap=True)
     for target, row in targets.items():
-        cells = (f"{row[name]['r2']:.2f}  {row[name]['error_cells']:.2f}" for name in features)
-        table.add_row(target, *cells)
+        gain = row["gain"]
+        table.add_row(
+            markup(target),
+            markup(row["measure"]),
+            f"{row['guess']:.2f}",
+            *(_probe_cell(row["scores"][name]) for name in features),
+            f"{gain['value']:+.2f} [{gain['low']:+.2f}, {gain['high']:+.2f}]",
+        )
     return table
+
+
+def _probe_cell(score: Mapping[str, float]) -> str:
+    error = f" ({score['error_cells']:.1f})" if "error_cells" in score else ""
+    return f"{score['value']:.2f}{error}"
 
 
 def proof_text(name: str, scores: Path) -> str:

@@ -1,52 +1,68 @@
-"""`gym-open train probe`: what a linear map can read from a frozen encoder about tables it never saw."""
+"""`gym-open train probe`: what a linear map can read from a frozen encoder about worlds it never saw."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+import torch.nn.functional as F
+from torch import Tensor
 
 from gym_open import artefacts, progress, seeding
 from gym_open.agents.encoder import Encoder
 from gym_open.artefacts import Lineage
-from gym_open.envs.constants import IMAGE_SIZE, PITCH
-from gym_open.envs.physics.model import INVENTORY
-from gym_open.envs.puzzles import Puzzle
-from gym_open.envs.puzzles.generators import SandboxConfig, sample_puzzle
-from gym_open.envs.world import World
+from gym_open.envs.constants import MOVES as DIRECTIONS
+from gym_open.envs.constants import PITCH
 from gym_open.formats.models import load_encoder
 from gym_open.train.config import ProbeConfig
-from gym_open.train.ridge import fit_ridge, r_squared
+from gym_open.train.probe_scores import Score, auc, auc_score, mean_score, r2_score, ratio_score, resample
+from gym_open.train.probe_worlds import BODIES, MOVES, Sample, draw_samples
+from gym_open.train.ridge import fit_ridge
 
 PROBE = "probe.json"
-TARGETS = {"agent": "agent", "yellow": "yellow_0", "green": "green_0"}
-"""What is looked for, and its body in the model."""
-ONE_OF_EACH = SandboxConfig(yellow=(1, 1), green=(1, 1))
-"""Sandbox worlds where "the yellow goal" and "the green goal" each mean one thing."""
+PARTS = ("train", "validation", "test")
+TARGETS = (*BODIES, "displacement", "contact", "move")
+"""What is asked: where each thing is; how far the agent's next move takes it, and whether it then touches something,
+given the move; and which move it was, from the pictures before and after."""
+MEASURES = {"displacement": "r2", "contact": "auc", "move": "accuracy"}
+"""How targets are scored; positions by `r2`."""
 BATCH = 500
 
 
 @dataclass(frozen=True)
-class Sample:
-    """Worlds, one picture each: (n, 84, 84, 3) uint8, and table positions (n, 2) in metres by target."""
+class Found:
+    """What one kind of features tells: scores by target, and mean distances in cells by position."""
 
-    images: Tensor
-    positions: dict[str, Tensor]
+    scores: dict[str, Score]
+    cells: dict[str, float]
 
 
 def probe(config: ProbeConfig, encoder: Path, out: Path) -> artefacts.Outcome:
-    """Probe a frozen encoder, an untrained one of the same architecture, and the pixels, for where things are.
+    """Probe a frozen encoder, untrained ones of the same architecture, and the pixels.
 
-    Payload: `probe.json`, `{"targets": {target: {features: {"r2", "error_cells"}}}, "worlds": {part: n}}` with targets
-    `agent`, `yellow`, `green` and features `trained`, `untrained`, `pixels`. `r2` is over both coordinates on held-out
-    worlds; `error_cells` is the mean distance to the true position there, in cells of the grid.
+    All maps are ridge regressions (`fit_ridge`) on features of pictures of the agent at random play. Payload,
+    `probe.json`:
+
+        {"targets": {TARGET: {
+             "measure": "r2" | "auc" | "accuracy",
+             "guess": score without looking at the picture,
+             "scores": {FEATURES: {"value", "low", "high", "error_cells"}},
+             "gain": {"value", "low", "high"}}},
+         "worlds": {"train", "validation", "test"}, "moves": moves played in each}
+
+    Targets: positions of `agent`, `yellow`, `green`, `heavy` and `light` (r2 over both coordinates; `error_cells`, for
+    positions only, is the mean distance in cells of the grid); `displacement` of the agent in its next move (r2 over
+    the mean of that move) and `contact` in it (area under the ROC curve), each by a map for each move; `move`, which
+    one of eight it was, from the difference of the features after and before (its direction is fitted, and the nearest
+    of the eight taken; share of right answers).
+    Features: `trained`, `untrained` (mean over `config.untrained` draws of the weights) and, if asked for, `pixels`.
+    `gain` is `trained` less `untrained`. Intervals are of level 95%, by resampling the test worlds.
 
     Args:
         config: number of worlds, strengths of regularisation, seed.
-        encoder: an encoder artefact.
+        encoder: an encoder artefact, or a log whose explorer had an encoder.
         out: folder of the result.
 
     Raises:
@@ -58,8 +74,8 @@ def probe(config: ProbeConfig, encoder: Path, out: Path) -> artefacts.Outcome:
         trained = load_encoder(encoder)
         known = logged_puzzles(artefacts.lineage(encoder))
         sizes = {"train": config.train_worlds, "validation": config.validation_worlds, "test": config.test_worlds}
-        samples = draw_samples(sizes, known, config.seed)
-        record = {"targets": score(config, trained, samples), "worlds": sizes}
+        samples = draw_samples(sizes, config.moves, known, config.seed)
+        record = {"targets": score(config, trained, samples), "worlds": sizes, "moves": config.moves}
         (partial / PROBE).write_bytes(artefacts.canonical_json(record))
         return {"worlds": sum(sizes.values())}
 
@@ -72,57 +88,141 @@ def logged_puzzles(lineage: Lineage) -> set[str]:
     return own.union(*(logged_puzzles(parent.lineage) for parent in lineage.parents))
 
 
-def draw_samples(sizes: Mapping[str, int], known: set[str], seed: int) -> dict[str, Sample]:
-    """Fresh sandbox worlds by part; no world is in `known` (digests), and none is drawn twice."""
-    world, used, samples = World(), set(known), {}
-    with progress.bar("draw probe worlds", sum(sizes.values())) as bar:
-        for part, size in sizes.items():
-            rng = seeding.generator(seed, "probe", part)
-            images = torch.empty((size, IMAGE_SIZE, IMAGE_SIZE, 3), dtype=torch.uint8)
-            positions = {target: torch.empty((size, 2), dtype=torch.float64) for target in TARGETS}
-            for i in range(size):
-                world.load(_fresh_puzzle(rng, used))
-                images[i] = torch.from_numpy(world.observe())
-                state = world.object_state()
-                for target, body in TARGETS.items():
-                    positions[target][i] = torch.from_numpy(state[INVENTORY.index(body), :2])
-                bar.advance()
-            samples[part] = Sample(images, positions)
-    return samples
-
-
-def _fresh_puzzle(rng: np.random.Generator, used: set[str]) -> Puzzle:
-    while True:
-        puzzle = sample_puzzle("sandbox", rng, ONE_OF_EACH)
-        if puzzle.digest not in used:
-            used.add(puzzle.digest)
-            return puzzle
-
-
 def score(config: ProbeConfig, trained: Encoder, samples: Mapping[str, Sample]) -> dict[str, dict[str, Any]]:
-    """Scores by target and kind of features."""
-    init = torch.Generator().manual_seed(seeding.integer(config.seed, "probe", "untrained"))
-    untrained = Encoder(trained.config, init)
-    untrained.mean_image.copy_(trained.mean_image)
-    readers: dict[str, Callable[[Tensor], Tensor]] = {"trained": trained, "untrained": untrained}
-    if config.pixels:
-        readers["pixels"] = nn.Flatten()
-    y = {part: torch.cat(list(sample.positions.values()), dim=1) for part, sample in samples.items()}
-    scores: dict[str, dict[str, Any]] = {target: {} for target in TARGETS}
-    with progress.bar("probe", len(readers)) as bar:
-        for name, read in readers.items():
-            x = {part: _features(read, trained, sample.images) for part, sample in samples.items()}
-            predicted = fit_ridge(x["train"], y["train"], (x["validation"], y["validation"]), config.ridge).predict(
-                x["test"]
-            )
-            for target, found in zip(TARGETS, predicted.split(2, dim=1), strict=True):
-                true = samples["test"].positions[target]
-                error = (found - true).norm(dim=1).mean() / PITCH
-                scores[target][name] = {"r2": r_squared(found, true), "error_cells": error.item()}
+    """What probe.json holds as `targets`."""
+    resamples = resample(len(samples["test"].images), seeding.generator(config.seed, "probe", "resamples"))
+    found: dict[str, Found] = {}
+    with progress.bar("probe", 1 + config.untrained + config.pixels) as bar:
+
+        def look(encoder: Encoder | None) -> Found:
+            features = {part: _features(encoder, sample.images) for part, sample in samples.items()}
+            looked = _look(config, features, samples, resamples)
             bar.advance()
-    return scores
+            return looked
+
+        found["trained"] = look(trained)
+        found["untrained"] = _mean([look(_untrained(config, trained, i)) for i in range(config.untrained)])
+        if config.pixels:
+            found["pixels"] = look(None)
+    guesses = _guesses(samples)
+    return {target: _row(target, found, guesses.get(target, 0.0)) for target in TARGETS}
 
 
-@torch.no_grad()
-def _features(read: Callable[[Tensor], Tensor], encoder: Encoder, images: Tensor) -> Tensor:
-    return torch.cat([read(encoder.prepare(batch)) for batch in images.split(BATCH)]).double()
+def _row(target: str, found: Mapping[str, Found], guess: float) -> dict[str, Any]:
+    scores = {name: one.scores[target].record() for name, one in found.items()}
+    for name, one in found.items():
+        if target in one.cells:
+            scores[name]["error_cells"] = one.cells[target]
+    gain = (found["trained"].scores[target] - found["untrained"].scores[target]).record()
+    return {"measure": MEASURES.get(target, "r2"), "guess": guess, "scores": scores, "gain": gain}
+
+
+def _guesses(samples: Mapping[str, Sample]) -> dict[str, float]:
+    """Scores without a picture, where they are not 0."""
+    train, test = samples["train"], samples["test"]
+    rates = _by_move(train.contacts.double()[..., None], train.moves)[test.moves]
+    return {"contact": auc(rates.numpy(), test.contacts.numpy()), "move": 1 / MOVES}
+
+
+def _mean(found: list[Found]) -> Found:
+    scores = {target: mean_score([one.scores[target] for one in found]) for target in TARGETS}
+    return Found(scores, {body: float(np.mean([one.cells[body] for one in found])) for body in BODIES})
+
+
+def _untrained(config: ProbeConfig, trained: Encoder, number: int) -> Encoder:
+    init = torch.Generator().manual_seed(seeding.integer(config.seed, "probe", "untrained", number))
+    encoder = Encoder(trained.config, init)
+    encoder.mean_image.copy_(trained.mean_image)
+    return encoder
+
+
+def _features(encoder: Encoder | None, images: Tensor) -> Tensor:
+    """(W, T + 1, D) features of pictures (W, T + 1, 84, 84, 3), fp64; without an encoder, the pixels as they are."""
+    if encoder is None:
+        return images.flatten(2)
+    features = torch.cat([encoder.encode(batch) for batch in images.flatten(0, 1).split(BATCH)])
+    return features.double().reshape(*images.shape[:2], -1)
+
+
+def _numbers(features: Tensor) -> Tensor:
+    """Features as a regression takes them: pixels in fp32, in which twenty thousand columns take half the time."""
+    return features if features.is_floating_point() else features.float()
+
+
+def _look(
+    config: ProbeConfig, features: Mapping[str, Tensor], samples: Mapping[str, Sample], resamples: np.ndarray
+) -> Found:
+    scores, cells = _positions(config, features, samples, resamples)
+    scores.update(_consequences(config, features, samples, resamples))
+    scores["move"] = _which_move(config, features, samples, resamples)
+    return Found(scores, cells)
+
+
+def _positions(
+    config: ProbeConfig, features: Mapping[str, Tensor], samples: Mapping[str, Sample], resamples: np.ndarray
+) -> tuple[dict[str, Score], dict[str, float]]:
+    """From the first picture of each world, where things are."""
+    x = {part: _numbers(features[part][:, 0]) for part in PARTS}
+    y = {part: samples[part].positions[:, 0].flatten(1) for part in PARTS}
+    found = _fitted(config, x, y).unflatten(1, (len(BODIES), 2))
+    true = samples["test"].positions[:, 0]
+    errors = (found - true).square().sum(dim=2)
+    guess_errors = (true - samples["train"].positions[:, 0].mean(dim=0)).square().sum(dim=2)
+    scores = {
+        body: r2_score(errors[:, i].numpy(), guess_errors[:, i].numpy(), resamples) for i, body in enumerate(BODIES)
+    }
+    return scores, {body: errors[:, i].sqrt().mean().item() / PITCH for i, body in enumerate(BODIES)}
+
+
+def _consequences(
+    config: ProbeConfig, features: Mapping[str, Tensor], samples: Mapping[str, Sample], resamples: np.ndarray
+) -> dict[str, Score]:
+    """From the picture before a move, a map for each move: how far it takes the agent, and whether it then touches."""
+    outcomes = {part: _outcomes(sample) for part, sample in samples.items()}
+    means = _by_move(outcomes["train"], samples["train"].moves)
+    test = samples["test"]
+    found = means[test.moves]
+    for move in range(MOVES):
+        rows = {part: samples[part].moves == move for part in PARTS}
+        if all(chosen.any() for chosen in rows.values()):
+            x = {part: _numbers(features[part][:, :-1][rows[part]]) for part in PARTS}
+            y = {part: outcomes[part][rows[part]] for part in PARTS}
+            found[rows["test"]] = _fitted(config, x, y)
+    true = outcomes["test"]
+    errors, guess_errors = (
+        (guess - true)[..., :2].square().sum(dim=(1, 2)).numpy() for guess in (found, means[test.moves])
+    )
+    return {
+        "displacement": r2_score(errors, guess_errors, resamples),
+        "contact": auc_score(found[..., 2].numpy(), test.contacts.numpy(), resamples),
+    }
+
+
+def _which_move(
+    config: ProbeConfig, features: Mapping[str, Tensor], samples: Mapping[str, Sample], resamples: np.ndarray
+) -> Score:
+    """From what changed between the first two pictures, the direction of the move; the nearest of eight is meant."""
+    directions = torch.tensor(DIRECTIONS[1:], dtype=torch.float64)
+    x = {part: _numbers(features[part][:, 1]) - _numbers(features[part][:, 0]) for part in PARTS}
+    y = {part: directions[samples[part].moves[:, 0]] for part in PARTS}
+    right = torch.cdist(_fitted(config, x, y), directions).argmin(dim=1) == samples["test"].moves[:, 0]
+    return ratio_score(right.double().numpy(), np.ones(len(right)), resamples)
+
+
+def _fitted(config: ProbeConfig, x: Mapping[str, Tensor], y: Mapping[str, Tensor]) -> Tensor:
+    """Predictions for part `test`, (n, K) fp64."""
+    kind = x["train"].dtype
+    ridge = fit_ridge(x["train"], y["train"].to(kind), (x["validation"], y["validation"].to(kind)), config.ridge)
+    return ridge.predict(x["test"]).double()
+
+
+def _outcomes(sample: Sample) -> Tensor:
+    """(W, T, 3): the agent's displacement in metres, and 1 if it touched something."""
+    agent = sample.positions[:, :, 0]
+    return torch.cat([agent[:, 1:] - agent[:, :-1], sample.contacts.double()[..., None]], dim=2)
+
+
+def _by_move(values: Tensor, moves: Tensor) -> Tensor:
+    """Mean of values (W, T, K) by move: (8, K); 0 for a move that was not made."""
+    done = F.one_hot(moves.flatten(), MOVES).double()
+    return done.T @ values.flatten(0, 1) / done.sum(dim=0).clamp(min=1)[:, None]

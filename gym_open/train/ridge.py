@@ -22,7 +22,7 @@ class Ridge:
 
 
 def fit_ridge(x: Tensor, y: Tensor, validation: tuple[Tensor, Tensor], strengths: Sequence[float]) -> Ridge:
-    """Minimise `‖y − offset − z·weights‖² + strength·‖weights‖²`, for the strength that is best on validation data.
+    """Minimise `‖y − offset − z·weights‖² + strength·‖weights‖²`, for each target with the strength that suits it best.
 
     z is x centred and divided by one number, so that its rows have mean square length 1: strengths then mean the same
     for any number of inputs. Solved by eigenvectors of `zᵀz` or `zzᵀ`, the smaller (Hastie et al. 2009, 18.3.5).
@@ -30,7 +30,7 @@ def fit_ridge(x: Tensor, y: Tensor, validation: tuple[Tensor, Tensor], strengths
     Args:
         x: inputs, (n, D).
         y: targets, (n, K).
-        validation: inputs (m, D) and targets (m, K); the smallest mean square error there is the best.
+        validation: inputs (m, D) and targets (m, K); the smallest mean square error of a target there is the best.
         strengths: to choose from, each positive.
     """
     centre, offset = x.mean(dim=0), y.mean(dim=0)
@@ -40,14 +40,8 @@ def fit_ridge(x: Tensor, y: Tensor, validation: tuple[Tensor, Tensor], strengths
     wide = z.shape[1] > z.shape[0]
     eigenvalues, Q = torch.linalg.eigh(z @ z.T if wide else z.T @ z)
     rotated = Q.T @ (t if wide else z.T @ t)
-    tried = []
-    for strength in strengths:
-        solved = Q @ (rotated / (eigenvalues.clamp(min=0) + strength)[:, None])
-        ridge = Ridge(centre, scale, z.T @ solved if wide else solved, offset)
-        tried.append(((ridge.predict(validation[0]) - validation[1]).square().mean().item(), ridge))
-    return min(tried, key=lambda pair: pair[0])[1]
-
-
-def r_squared(predicted: Tensor, y: Tensor) -> float:
-    """`1 − Σ(y − predicted)² / Σ(y − mean y)²` over all K targets together; 0 for guessing the mean, 1 at best."""
-    return float(1 - (y - predicted).square().sum() / (y - y.mean(dim=0)).square().sum())
+    solved = [Q @ (rotated / (eigenvalues.clamp(min=0) + strength)[:, None]) for strength in strengths]
+    weights = torch.stack([z.T @ one if wide else one for one in solved])
+    found = (validation[0] - centre) / scale @ weights + offset
+    best = (found - validation[1]).square().mean(dim=1).argmin(dim=0)
+    return Ridge(centre, scale, weights[best, :, torch.arange(y.shape[1])].T, offset)

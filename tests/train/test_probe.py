@@ -1,117 +1,129 @@
-"""The linear probe: exact regression, fresh worlds, and scores that tell knowing from guessing."""
+"""The linear probe: fresh worlds, and scores that tell knowing from guessing."""
 
+import io
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
 import torch
+from rich.console import Console
 
 from gym_open import artefacts
-from gym_open.agents.config import CurlConfig, EncoderConfig
+from gym_open.agents.config import EncoderConfig
 from gym_open.agents.encoder import Encoder
-from gym_open.envs.constants import PITCH, cell_centre
+from gym_open.envs.constants import MOVES as DIRECTIONS
+from gym_open.envs.constants import PITCH
 from gym_open.envs.puzzles.generators import sample_puzzle
+from gym_open.formats.models import save_encoder
 from gym_open.seeding import generator
+from gym_open.summary import probe_table
 from gym_open.train.config import EncoderTrainConfig, ProbeConfig
 from gym_open.train.encoder import train_encoder
-from gym_open.train.probe import ONE_OF_EACH, TARGETS, Sample, draw_samples, logged_puzzles, probe, score
-from gym_open.train.ridge import fit_ridge, r_squared
+from gym_open.train.probe import TARGETS, logged_puzzles, probe, score
+from gym_open.train.probe_worlds import BODIES, MOVES, ONE_OF_EACH, Sample, draw_samples
 
-TINY = ProbeConfig(train_worlds=12, validation_worlds=4, test_worlds=5, threads=1)
-
-
-def data(n: int, inputs: int, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
-    rng = np.random.default_rng(seed)
-    x = rng.normal(size=(n, inputs)) * 3 + 1
-    y = x[:, :2] @ rng.normal(size=(2, 3)) + rng.normal(size=(n, 3)) + 5
-    return torch.from_numpy(x), torch.from_numpy(y)
+TINY = ProbeConfig(train_worlds=12, validation_worlds=6, test_worlds=6, moves=2, pixels=False, threads=1)
+POSITIONS = {"agent", "yellow", "green", "heavy", "light"}
 
 
-@pytest.mark.parametrize(("n", "inputs"), [(40, 6), (20, 50)])
-def test_ridge_solves_the_normal_equations(n: int, inputs: int) -> None:
-    x, y = data(n, inputs)
-    ridge = fit_ridge(x, y, (x, y), [0.3])
-    z = x.numpy() - x.numpy().mean(axis=0)
-    z /= np.sqrt((z**2).sum(axis=1).mean())
-    weights = np.linalg.solve(z.T @ z + 0.3 * np.eye(inputs), z.T @ (y.numpy() - y.numpy().mean(axis=0)))
-    np.testing.assert_allclose(ridge.predict(x).numpy(), z @ weights + y.numpy().mean(axis=0), rtol=1e-6)
+@pytest.fixture(scope="module")
+def real() -> dict[str, Sample]:
+    return draw_samples({"train": 250, "validation": 50, "test": 80}, 2, set(), 0)
 
 
-def test_ridge_takes_the_strength_that_validates_best() -> None:
-    x, y = data(30, 25)
-    fresh = data(200, 25, seed=0)
-    strengths = [1e-6, 1e-2, 1.0, 1e4]
-
-    def error(strength: float) -> float:
-        return (fit_ridge(x, y, (x, y), [strength]).predict(fresh[0]) - fresh[1]).square().mean().item()
-
-    chosen = fit_ridge(x, y, fresh, strengths).predict(fresh[0])
-    assert (chosen - fresh[1]).square().mean().item() == min(error(strength) for strength in strengths)
-
-
-def test_inputs_that_never_vary_are_harmless() -> None:
-    x, y = data(10, 3)
-    ridge = fit_ridge(torch.ones_like(x), y, (x, y), [1.0])
-    torch.testing.assert_close(ridge.predict(torch.ones_like(x)), y.mean(dim=0).expand(10, 3))
+def painted(size: int, rng: np.random.Generator) -> Sample:
+    """Plain pictures: red and green are the agent's position, blue says that its next move is blocked."""
+    positions = torch.from_numpy(rng.uniform(-0.5, 0.5, size=(size, 2, len(BODIES), 2)))
+    blocked = torch.from_numpy(rng.random((size, 1)) < 0.2)
+    moves = torch.from_numpy(rng.integers(MOVES, size=(size, 1)))
+    way = torch.tensor(DIRECTIONS[1:])[moves[:, 0]] * PITCH
+    positions[:, 1, 0] = positions[:, 0, 0] + torch.where(blocked, 0.0, way)
+    images = torch.zeros(size, 2, 84, 84, 3, dtype=torch.uint8)
+    images[..., :2] = ((positions[:, :, 0] + 0.7) * 180).round().to(torch.uint8)[:, :, None, None]
+    images[:, 0, ..., 2] = (blocked * 200).to(torch.uint8)[:, None]
+    return Sample(images, positions, moves, blocked)
 
 
-def test_r_squared() -> None:
-    y = torch.tensor([[0.0], [2.0]])
-    assert r_squared(y, y) == 1
-    assert r_squared(torch.ones(2, 1), y) == 0
-    assert r_squared(-y, y) < 0
+def coder(images: torch.Tensor, architecture: str = "cnn", features: int = 64) -> Encoder:
+    config = msgspec.convert({"architecture": architecture, "features": features}, EncoderConfig)
+    encoder = Encoder(config, torch.Generator().manual_seed(3))
+    encoder.set_mean_image(images.flatten(0, 1))
+    return encoder
 
 
-def test_worlds_are_fresh_distinct_and_measured_in_metres() -> None:
+def test_worlds_are_fresh_and_distinct() -> None:
     sizes = {"train": 6, "test": 6}
     rng = generator(0, "probe", "train")
-    would_be = [sample_puzzle("sandbox", rng, ONE_OF_EACH) for _ in range(6)]
-    plain = draw_samples(sizes, set(), 0)
-    for i, puzzle in enumerate(would_be):
-        for target in TARGETS:
-            (item,) = (item for item in puzzle.objects if item.kind == target)
-            expected = cell_centre(item.row, item.column)
-            np.testing.assert_allclose(plain["train"].positions[target][i], expected, atol=0.01)
-    known = {would_be[0].digest, would_be[3].digest}
-    others = draw_samples(sizes, known, 0)
-    kept = [plain["train"].images[i] for i in (1, 2, 4, 5)]
-    assert all(torch.equal(a, b) for a, b in zip(kept, others["train"].images[:4], strict=True))
-    everything = torch.cat([others["train"].images, others["test"].images]).flatten(1)
+    first = sample_puzzle("sandbox", rng, ONE_OF_EACH)
+    plain = draw_samples(sizes, 1, set(), 0)
+    again = draw_samples(sizes, 1, set(), 0)
+    others = draw_samples(sizes, 1, {first.digest}, 0)
+    assert torch.equal(plain["train"].images, again["train"].images)
+    assert not torch.equal(plain["train"].images[0], others["train"].images[0])
+    everything = torch.cat([plain["train"].images, plain["test"].images])[:, 0].flatten(1)
     assert len(torch.unique(everything, dim=0)) == 12
 
 
-def test_what_the_pictures_tell_is_found_and_what_they_do_not_is_not() -> None:
-    """The agent's position is painted as brightness all over the picture, the yellow goal's not at all."""
-    rng, samples = np.random.default_rng(0), {}
-    for part, size in (("train", 200), ("validation", 50), ("test", 100)):
-        positions = {target: torch.from_numpy(rng.uniform(-0.5, 0.5, size=(size, 2))) for target in TARGETS}
-        images = torch.zeros(size, 84, 84, 3, dtype=torch.uint8)
-        images[..., :2] = ((positions["agent"] + 0.5) * 255).round().to(torch.uint8)[:, None, None, :]
-        samples[part] = Sample(images, positions)
-    encoder = Encoder(EncoderConfig(features=64), torch.Generator().manual_seed(3))
-    encoder.set_mean_image(samples["train"].images)
-    scores = score(msgspec.structs.replace(TINY, pixels=True), encoder, samples)
+def test_what_is_said_of_a_move_is_what_happened(real: dict[str, Sample]) -> None:
+    sample = real["train"]
+    way = (sample.positions[:, 1:, 0] - sample.positions[:, :-1, 0]).numpy()
+    free = ~sample.contacts.numpy()
+    expected = np.array(DIRECTIONS[1:])[sample.moves.numpy()] * 25 / 7 * 0.04  # m/s for 0.04 s
+    short = np.abs(way - expected).max(axis=2) > 0.02
+    assert 0.1 < sample.contacts.double().mean() < 0.6
+    assert short[~free].mean() > 0.4
+    assert short[free].mean() < 0.15  # on a ramp nothing else is touched
+    changed = (sample.images[:, 1:] != sample.images[:, :-1]).flatten(2).any(dim=2).numpy()
+    assert changed[free & ~short].all()
+
+
+def test_what_pictures_tell_is_found_and_what_they_do_not_is_not() -> None:
+    rng = np.random.default_rng(0)
+    samples = {part: painted(size, rng) for part, size in (("train", 300), ("validation", 100), ("test", 100))}
+    encoder = coder(samples["train"].images)
+    scores = score(msgspec.structs.replace(TINY, moves=1, pixels=True), encoder, samples)
+    assert set(scores) == set(TARGETS) == POSITIONS | {"displacement", "contact", "move"}
     for features in ("trained", "untrained", "pixels"):
-        assert scores["agent"][features]["r2"] > 0.95
-        assert scores["agent"][features]["error_cells"] < 0.1 / PITCH
-        assert scores["yellow"][features]["r2"] < 0.1
+        found = {target: row["scores"][features] for target, row in scores.items()}
+        assert found["agent"]["value"] > 0.95
+        assert found["agent"]["error_cells"] < 0.1 / PITCH
+        assert found["yellow"]["value"] < 0.1
+        assert found["contact"]["value"] > 0.95
+        assert found["displacement"]["value"] > 0.8
+        assert found["move"]["value"] > 0.6  # a blocked one looks like no other
+    assert 0.3 < scores["contact"]["guess"] < 0.7
+    for row in scores.values():
+        assert all(
+            cell["low"] <= cell["value"] + 0.05 and cell["value"] - 0.05 <= cell["high"]
+            for cell in row["scores"].values()
+        )
 
 
-def test_pixels_of_real_worlds_tell_where_things_are() -> None:
-    encoder = Encoder(EncoderConfig(features=64), torch.Generator().manual_seed(3))
-    samples = draw_samples({"train": 250, "validation": 60, "test": 100}, set(), 0)
-    encoder.set_mean_image(samples["train"].images)
-    scores = score(msgspec.structs.replace(TINY, pixels=True), encoder, samples)
-    assert scores["agent"]["pixels"]["r2"] > 0.5
+def test_pixels_of_real_worlds_tell_where_things_are(real: dict[str, Sample]) -> None:
+    scores = score(
+        msgspec.structs.replace(TINY, pixels=True, untrained=1), coder(real["train"].images, features=16), real
+    )
+    assert all(scores[body]["scores"]["pixels"]["value"] > 0.3 for body in ("agent", "yellow"))
+
+
+def test_an_untrained_encoder_gains_nothing_over_itself(
+    real: dict[str, Sample], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few = {part: Sample(s.images[:20], s.positions[:20], s.moves[:20], s.contacts[:20]) for part, s in real.items()}
+    encoder = coder(few["train"].images, "impala", features=8)
+    monkeypatch.setattr("gym_open.train.probe._untrained", lambda *_: encoder)
+    for row in score(TINY, encoder, few).values():
+        assert row["gain"] == {"value": 0, "low": 0, "high": 0}
+        assert row["scores"]["trained"] == row["scores"]["untrained"]
 
 
 @pytest.fixture(scope="module")
 def encoder(release: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    network = EncoderConfig(features=16)
-    config = EncoderTrainConfig(updates=2, batch_size=4, encoder=network, curl=CurlConfig(latent=4), threads=1)
+    config = EncoderTrainConfig(updates=2, batch_size=4, encoder=EncoderConfig(features=16), threads=1)
     return train_encoder(config, release, tmp_path_factory.mktemp("encoder") / "encoder").path
 
 
@@ -119,16 +131,29 @@ def test_payload_is_as_documented_and_repeatable(encoder: Path, tmp_path: Path) 
     first, second = (probe(TINY, encoder, tmp_path / name).path for name in ("a", "b"))
     assert artefacts.digest(first) == artefacts.digest(second)
     found = json.loads((first / "probe.json").read_text())
-    assert found["worlds"] == {"train": 12, "validation": 4, "test": 5}
-    assert set(found["targets"]) == {"agent", "yellow", "green"}
-    for row in found["targets"].values():
-        assert set(row) == {"trained", "untrained"}
-        assert all(set(cell) == {"r2", "error_cells"} for cell in row.values())
+    assert (found["worlds"], found["moves"]) == ({"train": 12, "validation": 6, "test": 6}, 2)
+    for target, row in found["targets"].items():
+        assert set(row) == {"measure", "guess", "scores", "gain"}
+        assert set(row["scores"]) == {"trained", "untrained"}
+        more = {"error_cells"} if target in POSITIONS else set[str]()
+        assert all(set(cell) == {"value", "low", "high"} | more for cell in row["scores"].values())
+    console = Console(width=120, record=True, file=io.StringIO())
+    console.print(probe_table(first))
+    shown = console.export_text()
+    assert all(target in shown for target in TARGETS)
 
 
-def test_puzzles_of_the_logs_are_found_in_the_lineage(
-    encoder: Path, make_log: Callable[..., Path], tmp_path: Path
-) -> None:
+def test_puzzles_of_the_logs_are_found_in_the_lineage(encoder: Path) -> None:
     record = artefacts.lineage(encoder)
     assert logged_puzzles(record) == set(record.parents[0].lineage.parents[0].lineage.facts["puzzles"])
     assert len(logged_puzzles(record)) == 3
+
+
+def test_the_encoder_that_a_log_holds_is_probed(make_log: Callable[..., Path], tmp_path: Path) -> None:
+    def work(folder: Path) -> Mapping[str, Any]:
+        (folder / "encoder").mkdir()
+        save_encoder(folder / "encoder", Encoder(EncoderConfig(features=8), torch.Generator().manual_seed(0)))
+        return {"puzzles": []}
+
+    log = artefacts.build(tmp_path / "log", kind="log", config=TINY, parents=[], work=work).path
+    assert artefacts.lineage(probe(TINY, log, tmp_path / "probe").path).parents[0].digest == artefacts.digest(log)
