@@ -43,6 +43,9 @@ class EncoderTrainConfig(Config, frozen=True, kw_only=True):
             raise ValueError("`encoder.architecture` 'state' looks at no picture; give cnn or impala")
 
 
+Transfer = Literal["scaled", "weights", "convolutions"]
+
+
 class PolicyTrainConfig(Config, frozen=True, kw_only=True):
     """PPO on one task, puzzles drawn from its training distribution."""
 
@@ -62,6 +65,9 @@ class PolicyTrainConfig(Config, frozen=True, kw_only=True):
     """What tables and reports call it; if empty, the explorer that the encoder comes from, or `scratch`."""
     encoder: EncoderConfig = EncoderConfig()
     """The network; must be that of the encoder that training starts from, if any."""
+    transfer: Transfer = "scaled"
+    """What is taken over of an encoder: its `weights` as they are, the same `scaled` so that features are as large as
+    an untrained encoder's, or its `convolutions` alone, under a fresh last layer."""
     frozen: bool = False
     """Leave the encoder as it is and learn the heads alone, from unshifted pictures."""
     ppo: PPOConfig = PPOConfig()

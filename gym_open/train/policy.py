@@ -38,6 +38,7 @@ from gym_open.train.config import PolicyTrainConfig
 from gym_open.train.curve import Row, clean, save_curve
 from gym_open.train.tables import Episode, Tables
 from gym_open.train.tensorboard import Board
+from gym_open.train.transfer import take_over
 
 COLUMNS = (
     "step", "episodes", "mean_return", "success", "mean_length", "entropy", "approx_kl", "clip_fraction",
@@ -94,6 +95,7 @@ def _facts(config: PolicyTrainConfig, encoder: Path | None, trainer: "_Trainer")
         "checkpoints": trainer.checkpoints,
         "agent": config.agent or _name(lineage),
         "encoder": kinds[None if lineage is None else lineage.kind],
+        "transfer": None if encoder is None else config.transfer,
         "frozen": config.frozen,
         "seed": config.seed,
         "from_encoder": encoder is not None,
@@ -162,7 +164,9 @@ class _Trainer:
 
     def _encoder(self, artefact: Path | None) -> Encoder | StateEncoder:
         if artefact is not None:
-            return load_encoder(artefact)
+            taught = load_encoder(artefact)
+            take_over(taught, self.config.transfer, first_pictures(self.config), self._torch_generator("encoder"))
+            return taught
         encoder = make_encoder(self.config.encoder, self._torch_generator("encoder"))
         if isinstance(encoder, Encoder) and self.config.encoder.centre:
             encoder.set_mean_image(first_pictures(self.config))

@@ -11,6 +11,7 @@ import torch
 
 from gym_open import artefacts, seeding
 from gym_open.agents.config import CurlConfig, EncoderConfig, ExplorerConfig, PPOConfig
+from gym_open.agents.encoder import Encoder
 from gym_open.collect.config import CollectConfig, CurriculumConfig
 from gym_open.collect.explore import collect
 from gym_open.config import Config
@@ -53,8 +54,8 @@ def test_payload_curve_and_lineage(tmp_path: Path) -> None:
     hardware = record.facts.pop("hardware")
     assert (hardware["threads"], hardware["device"]) == (1, "cpu")
     assert record.facts == {
-        "task": "goal-seeking", "steps": 48, "checkpoints": [], "agent": "scratch", "encoder": "none", "frozen": False,
-        "seed": 0, "from_encoder": False,
+        "task": "goal-seeking", "steps": 48, "checkpoints": [], "agent": "scratch", "encoder": "none", "transfer": None,
+        "frozen": False, "seed": 0, "from_encoder": False,
     }  # fmt: skip
     assert load_policy(path).n_actions == 9
 
@@ -84,7 +85,7 @@ def test_state_in_place_of_pictures(tmp_path: Path) -> None:
 
 
 def test_a_frozen_encoder_stays_and_its_features_are_what_is_learned_from(encoder: Path, tmp_path: Path) -> None:
-    config = msgspec.structs.replace(TINY, frozen=True)
+    config = msgspec.structs.replace(TINY, frozen=True, transfer="weights")
     path = train_policy(config, encoder, tmp_path / "p").path
     start, after = load_encoder(encoder), load_policy(path)
     assert all(torch.equal(a, b) for a, b in zip(after.encoder.parameters(), start.parameters(), strict=True))
@@ -99,7 +100,9 @@ def test_from_an_explorers_own_encoder(tmp_path: Path) -> None:
     explorer = ExplorerConfig(world_model="icm", reward="error", encoder=NETWORK)
     play = CollectConfig(steps=64, streams=1, rollout=16, pool=2, probe=16, explorer=explorer)
     log = collect(play, tmp_path / "log").path
-    barely = msgspec.structs.replace(TINY, steps=1, ppo=PPOConfig(learning_rate=1e-12, minibatch_size=8))
+    barely = msgspec.structs.replace(
+        TINY, steps=1, transfer="weights", ppo=PPOConfig(learning_rate=1e-12, minibatch_size=8)
+    )
     path = train_policy(barely, log, tmp_path / "p").path
     facts = artefacts.lineage(path).facts
     assert (facts["encoder"], facts["agent"]) == ("online", "icm")
@@ -135,9 +138,12 @@ def test_killed_and_resumed_is_as_if_never_killed(tmp_path: Path, kill_when: Cal
 
 
 def test_from_an_encoder_keeps_its_mean_picture_and_starts_at_its_weights(encoder: Path, tmp_path: Path) -> None:
-    barely = msgspec.structs.replace(TINY, steps=1, ppo=PPOConfig(learning_rate=1e-12, minibatch_size=8))
+    barely = msgspec.structs.replace(
+        TINY, steps=1, transfer="weights", ppo=PPOConfig(learning_rate=1e-12, minibatch_size=8)
+    )
     path = train_policy(barely, encoder, tmp_path / "p").path
     start, tuned = load_encoder(encoder), load_policy(path).encoder
+    assert isinstance(tuned, Encoder)
     assert torch.equal(tuned.mean_image, start.mean_image)
     for a, b in zip(tuned.parameters(), start.parameters(), strict=True):
         torch.testing.assert_close(a, b, atol=1e-8, rtol=0)
