@@ -40,6 +40,7 @@ COMMANDS: dict[str, type[Command]] = {
     "train encoder": stages.TrainEncoder,
     "train policy": stages.TrainPolicy,
     "train probe": stages.TrainProbe,
+    "encoder push": results.EncoderPush,
     "evaluate": stages.Evaluate,
     "score verify": results.ScoreVerify,
     "benchmark": results.Benchmark,

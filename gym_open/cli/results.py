@@ -1,4 +1,4 @@
-"""Sub-commands on results: many runs at a time, reports of scores, scores played again."""
+"""Sub-commands on results: many runs at a time, reports of scores, scores played again, encoders handed on."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -98,3 +98,29 @@ class ScoreVerify(Command):
         paid = sum(found.rewards)
         say(f"{found.id}: {len(found.actions)} actions, return {paid:g}, {end}", verb="verified")
         say(f"  next: gym-open render video {found.id} --actions {word(self.scores)} --save episode.mp4")
+
+
+@dataclass(frozen=True, kw_only=True)
+class EncoderPush(Command):
+    """Send an encoder to a Hugging Face hub, with a card and its lineage. Without --online, only say what would be.
+
+    Example: gym-open encoder push train/encoders/encoder-curl --repo me/open-curl --online
+    """
+
+    encoder: Annotated[Path, tyro.conf.Positional]
+    """Folder of an encoder."""
+    repo: str
+    """OWNER/NAME on the hub."""
+    online: bool = False
+    """Really send it."""
+
+    about = "send an encoder to a Hugging Face hub"
+
+    def run(self) -> None:
+        """Send, or say what would be sent."""
+        from gym_open.train.hub import push_encoder
+
+        for line in push_encoder(self.encoder, self.repo, online=self.online):
+            say(f"  {line}")
+        if not self.online:
+            say("nothing was sent; add --online to send it")
