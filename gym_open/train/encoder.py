@@ -44,6 +44,7 @@ def train_encoder(
     curve. Payload: `model.safetensors` and `model.json` (the encoder with its mean picture) and `curve.json`, whose
     columns are `update`, the world model's `loss` and figures as means over the updates since the row before, and the
     same with `held_out_` over fixed batches of the split `val` (worlds that are not in `train`; null if there is none).
+    CURL's held-out figures are the worse the fewer worlds `val` has: pictures of one world are hard to tell apart.
 
     Args:
         config: network, world model, length, seed.
