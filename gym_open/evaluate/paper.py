@@ -43,7 +43,8 @@ _WORDS = {
     frozenset({"human"}): "Human",
     **{frozenset(re.findall("[a-z]+", name.lower())): name for name in list(PAPER)[1:-1]},
 }
-_KNOWN = frozenset[str]().union(*_WORDS)
+_KNOWN = frozenset({"counted"}).union(*_WORDS)
+"""Words that tell agents apart; RIDE that counts visits is no agent of the paper."""
 
 
 def paper_name(agent: str) -> str | None:

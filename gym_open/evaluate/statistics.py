@@ -1,8 +1,10 @@
 """What several runs of an agent say together, and how far to trust it.
 
 After Agarwal et al. 2021 ("Deep reinforcement learning at the edge of the statistical precipice", the library rliable):
-stratified bootstrap over runs, interquartile mean, probability of improvement. Three runs alone say little, so that
-for one task runs and puzzles are both drawn again.
+stratified bootstrap over runs, interquartile mean, probability of improvement. Three runs alone say little: for one
+task runs and puzzles are both drawn again. Where runs and puzzles spread as A-Success does (run .02 to .06, puzzle .2,
+both together .28; 400 trials), the 95% interval of three runs holds the truth in .90 to .97 of cases so, and that over
+runs alone in .72; of one run, which puzzles alone vary, in .63 to .90.
 
 *Strata* are the scores of one agent, an array (…, runs) a task; numbers of runs may differ between tasks. Leading axes
 are resamples: every statistic here works along the last axis.

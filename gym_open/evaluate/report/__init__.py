@@ -49,7 +49,7 @@ def _write(folder: Path, config: ReportConfig, found: Sources) -> Mapping[str, A
     proven = provenance.proofs(found.runs, results.agents)
     settings, recipes = provenance.recipes(found.runs, results.agents, found.configs)
     content = page.Content(
-        title=config.title,
+        title=one_line(config.title),
         config=to_dict(config),
         results=results,
         findings=list(notes.findings(results)),

@@ -15,7 +15,6 @@ from gym_open.envs.puzzles.sets import puzzle_id, puzzles_of
 from gym_open.evaluate.proof import Proof, oracle_proof, task_free_proof
 from gym_open.evaluate.scores import Episodes, Scores, summarise, write_episodes, write_scores
 
-MakeScores = Callable[..., Path]
 HARDWARE: dict[str, str | int] = {"processor": "An Abacus", "cores": 2, "threads": 1, "device": "cpu"}
 N = {"goal-seeking": 100, "preferences": 100, "avoidance": 100, "tool-use": 200}
 
@@ -126,12 +125,6 @@ def hash_of(*names: Any) -> int:
     return seeding.integer(0, *map(str, names))
 
 
-@pytest.fixture(scope="module")
-def grid(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two agents, two tasks, two seeds, two checkpoints; random, oracle; nothing else."""
-    return make_grid(tmp_path_factory.mktemp("grid"), ("scratch", "curl+ride"), ("goal-seeking", "tool-use"), (0, 1))
-
-
 def make_grid(
     root: Path, agents: Sequence[str], tasks: Sequence[Task], seeds: Sequence[int], *,
     lengths: Sequence[int] = (200_704, 1_003_520), skills: Mapping[str, float] | None = None,
@@ -152,3 +145,22 @@ def make_grid(
             root / "scores" / f"oracle-{task}", agent="oracle", task=task, skill=1.0, seed=None, actions="witnesses"
         )
     return root
+
+
+@pytest.fixture(scope="session")
+def make_run() -> Callable[..., Path]:
+    """`write_run`: a scores artefact."""
+    return write_run
+
+
+@pytest.fixture(scope="session")
+def train() -> Callable[..., Path]:
+    """`make_policy`: a policy artefact and all that it comes from."""
+    return make_policy
+
+
+@pytest.fixture(scope="session")
+def grid(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two agents, two tasks, two seeds, two checkpoints; random, oracle; do not write into it."""
+    root = tmp_path_factory.mktemp("grid")
+    return make_grid(root, ("scratch", "curl+ride"), ("goal-seeking", "tool-use"), (0, 1), skills={"curl+ride": 0.95})
