@@ -1,5 +1,6 @@
 """Event files for TensorBoard, for whoever wants to look on while something learns."""
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -25,7 +26,7 @@ class Board:
         if self._writer is None:
             return
         for name, value in values.items():
-            if value is not None and value == value:  # noqa: PLR0124  (not a number is not itself)
+            if value is not None and not math.isnan(value):
                 self._writer.add_scalar(name, value, step)
         self._writer.flush()
 
