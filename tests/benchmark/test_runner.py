@@ -17,11 +17,14 @@ import pytest
 from rich.console import Console
 
 from gym_open import artefacts, progress
-from gym_open.benchmark import child, runner
+from gym_open.benchmark import AgentConfig, BenchmarkConfig, child, run_benchmark, runner
 from gym_open.benchmark.plan import Job, Stage
 from gym_open.benchmark.runner import Runner
 from gym_open.benchmark.table import Screen, table
+from gym_open.collect.config import CollectConfig
+from gym_open.errors import GymOpenError
 from gym_open.evaluate.config import EvaluateConfig
+from gym_open.files import lock
 
 MAKE = """
 import pathlib, sys, time
@@ -54,7 +57,8 @@ def _scripts(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def job(root: Path, name: str, *needs: Job, stage: Stage = "collect", units: int = 1, **more: Any) -> Script:
-    return Script(name, stage, root / name, EvaluateConfig(), units, (), needs, **more)
+    config = EvaluateConfig() if stage == "evaluate" else CollectConfig()
+    return Script(name, stage, root / name, config, units, (), needs, **more)
 
 
 def run(root: Path, jobs: Sequence[Job], width: int = 2) -> tuple[Runner, str]:
@@ -204,7 +208,7 @@ from pathlib import Path
 from rich.console import Console
 sys.path[:0] = sys.argv[1:2]
 import test_runner
-from gym_open.benchmark import child, runner
+from gym_open.benchmark import AgentConfig, BenchmarkConfig, child, run_benchmark, runner
 child.PROGRAM = (sys.executable,)
 root = Path(sys.argv[2])
 script = f"import os, time; open({str(root / 'pid')!r}, 'w').write(str(os.getpid())); time.sleep(60)"
@@ -229,6 +233,37 @@ def test_no_child_outlives_the_runner(sign: signal.Signals, tmp_path: Path) -> N
     while _is_alive(pid):
         assert time.monotonic() < until
         time.sleep(0.01)
+
+
+def benchmark(root: Path, jobs: Sequence[Job], monkeypatch: pytest.MonkeyPatch, width: int | None = None) -> str:
+    """What a person is told by the time that it fails."""
+    monkeypatch.setattr(runner, "make_plan", lambda *_, **__: jobs)
+    said = io.StringIO()
+    config = BenchmarkConfig(tasks=("avoidance",), seeds=(0,), agents=(AgentConfig(name="a", policy="p.toml"),))
+    with pytest.raises(GymOpenError) as error:
+        run_benchmark(config, root / "out", root=root, jobs=width, console=Console(file=said, width=60))
+    return f"{said.getvalue()}{error.value}"
+
+
+def test_what_failed_is_told_with_its_log_and_the_command_that_runs_it_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bad = job(tmp_path, "bad", script=FAIL)
+    said = benchmark(tmp_path, [bad, job(tmp_path, "lost", bad), job(tmp_path, "good")], monkeypatch)
+    told = said.splitlines()
+    assert r"failed bad: \x1b[31mno such thing" in told
+    assert f"  log: {tmp_path / 'out/jobs/bad.log'}" in told
+    assert any(line.startswith("  alone: OMP_NUM_THREADS=1 gym-open -c 'import sys;") for line in told)
+    assert told[-1].startswith("1 of 3 jobs failed, and 1 that need")
+    assert not (tmp_path / "out/report").exists()  # there is no score to report
+
+
+def test_a_benchmark_is_run_by_one_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    never = [job(tmp_path, "never")]
+    with lock(tmp_path / "out"):
+        assert "another gym-open process" in benchmark(tmp_path, never, monkeypatch)
+    assert "--jobs: expected 1 or more, got 0" in benchmark(tmp_path, never, monkeypatch, width=0)
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_time_left_follows_the_speed_that_is_seen(tmp_path: Path) -> None:

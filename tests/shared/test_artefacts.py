@@ -45,6 +45,24 @@ def test_made_once_then_up_to_date_then_made_again_when_an_input_changes(tmp_pat
     assert _make(out, Toy(n=5)).earlier == tmp_path / "a-2"
 
 
+def test_to_ask_whether_it_is_up_to_date_says_what_making_it_would_find(tmp_path: Path) -> None:
+    parents = (_make(tmp_path / "p").path, _make(tmp_path / "q", Toy(n=7)).path)
+    out = tmp_path / "a"
+
+    def asked(config: Toy | None = None, inputs: tuple[Path, ...] = parents) -> bool:
+        return artefacts.is_up_to_date(out, kind="toy", config=config or Toy(), parents=inputs)
+
+    assert not asked()
+    _make(out, parents=parents)
+    assert asked()
+    assert not asked(Toy(n=4))
+    assert not asked(inputs=parents[::-1])
+    assert not asked(inputs=(*parents, tmp_path / "none"))
+    assert not artefacts.is_up_to_date(out, kind="other", config=Toy(), parents=parents)
+    (out / "data" / "numbers.txt").write_text("0 1 3")
+    assert not asked()
+
+
 def test_the_digest_does_not_depend_on_the_place(tmp_path: Path) -> None:
     _make(tmp_path / "here" / "a")
     _make(tmp_path / "elsewhere" / "deep" / "b")
