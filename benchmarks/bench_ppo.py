@@ -1,0 +1,223 @@
+"""How fast PPO learns from pictures: beside what it cannot do without, and beside Stable-Baselines3's.
+
+The floor of a step of an environment is the environment alone, the network's forward pass alone when it acts, and
+forward and backward pass alone in the update's epochs; below it lies the time that the network's products alone take at
+this processor's best rate for large matrices. Stable-Baselines3's PPO has the same network, environments (stepped by
+our `Tables`, which are faster than its own), batch and epochs; it has neither bf16 nor channels-last memory, neither
+centres nor shifts pictures, and it learns in fp32, so that ours is given in fp32 as well.
+
+Contenders take turns, so that a busy machine slows all alike; a ratio is the median over rounds of that within the
+round. With one thread the clock is the processor's own time, which does not count what neighbours take.
+
+Run: uv run python benchmarks/bench_ppo.py [--threads 1 2] [--rounds 3]     (five minutes on two idle cores)
+"""
+
+import argparse
+import statistics
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import msgspec
+import numpy as np
+import torch
+from gymnasium import spaces
+from rich.console import Console
+from rich.table import Table
+from stable_baselines3 import PPO
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import VecEnv
+
+from gym_open.agents.config import PPOConfig, Precision
+from gym_open.agents.encoder import IMAGE_SHAPE, autocast
+from gym_open.agents.ppo import ppo_update
+from gym_open.envs.constants import N_ACTIONS
+from gym_open.train.config import PolicyTrainConfig
+from gym_open.train.policy import _Trainer
+from gym_open.train.tables import Tables
+
+SB3 = "Stable-Baselines3, fp32"
+N_ENVS, N_STEPS = 32, 64
+BATCH = N_ENVS * N_STEPS
+PPO_CONFIG = PPOConfig()
+UPDATES = PPO_CONFIG.update_epochs * BATCH // PPO_CONFIG.minibatch_size
+MFLOP_FORWARD = 2e-6 * (400 * 32 * 192 + 81 * 64 * 512 + 49 * 64 * 576 + 3136 * 512)
+"""Of a picture: places × outputs × inputs of each convolution, and the linear layer."""
+MFLOP_BACKWARD = 2 * MFLOP_FORWARD - 2e-6 * 400 * 32 * 192
+"""The first layer has nobody to hand a gradient down to."""
+Work = Callable[[], object]
+
+
+class TablesVecEnv(VecEnv):
+    """Our environments for SB3."""
+
+    def __init__(self, threads: int) -> None:
+        super().__init__(N_ENVS, spaces.Box(0, 255, IMAGE_SHAPE, np.uint8), spaces.Discrete(N_ACTIONS))
+        self.tables = Tables("goal-seeking", N_ENVS, 0, threads=threads)
+
+    def reset(self) -> Any:
+        return self.tables.seen.copy()
+
+    def step_async(self, actions: np.ndarray) -> None:
+        self.actions = actions
+
+    def step_wait(self) -> Any:
+        after = self.tables.step(self.actions)
+        infos: list[dict[str, Any]] = [{} for _ in range(N_ENVS)]
+        for i, seen in after.last_seen.items():
+            infos[i] = {"terminal_observation": seen, "TimeLimit.truncated": True}
+        return self.tables.seen.copy(), after.rewards, after.terminations | after.truncations, infos
+
+    def close(self) -> None: ...
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:  # noqa: ARG002
+        return [None] * N_ENVS
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None: ...
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        raise NotImplementedError
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:  # noqa: ARG002
+        return [False] * N_ENVS
+
+
+class _Ready(BaseCallback):
+    """Keeps SB3's callback, so that rollouts can be asked for one by one."""
+
+    def _on_step(self) -> bool:
+        return True
+
+
+def ours(threads: int, precision: Precision) -> tuple[Work, _Trainer]:
+    """A rollout and its update, and who does it."""
+    ppo = msgspec.structs.replace(PPO_CONFIG, precision=precision)
+    config = PolicyTrainConfig(num_envs=N_ENVS, num_steps=N_STEPS, ppo=ppo, threads=threads)
+    with tempfile.TemporaryDirectory() as folder:
+        trainer = _Trainer(config, None, Path(folder))
+    bar: Any = SimpleNamespace(advance=lambda _: None)
+
+    def work() -> None:
+        rollout, _ = trainer.collect(bar)
+        ppo_update(trainer.agent, trainer.optimizer, rollout, ppo, trainer.updating)
+
+    return work, trainer
+
+
+def sb3(threads: int) -> Work:
+    """A rollout and its update by Stable-Baselines3."""
+    config, callback = PPO_CONFIG, _Ready()
+    model = PPO(
+        "CnnPolicy", TablesVecEnv(threads), learning_rate=config.learning_rate, n_steps=N_STEPS,
+        batch_size=config.minibatch_size, n_epochs=config.update_epochs, gamma=config.gamma,
+        gae_lambda=config.gae_lambda, clip_range=config.clip_coef, ent_coef=config.ent_coef,
+        vf_coef=config.vf_coef / 2, max_grad_norm=config.max_grad_norm, device="cpu", seed=0,
+    )  # fmt: skip
+    BaseAlgorithm._setup_learn(model, BATCH, callback)  # noqa: SLF001  (what `learn` does first)
+    callback.init_callback(model)
+
+    def work() -> None:
+        assert model.env is not None
+        model.collect_rollouts(model.env, callback, model.rollout_buffer, n_rollout_steps=N_STEPS)
+        model.train()
+
+    return work
+
+
+def environment(trainer: _Trainer) -> None:
+    """The environments alone, under random actions."""
+    for actions in np.random.default_rng(0).integers(0, N_ACTIONS, (N_STEPS, N_ENVS)):
+        trainer.tables.step(actions)
+
+
+@torch.no_grad()
+def acting(trainer: _Trainer) -> None:
+    """The network alone, on pictures that are prepared already."""
+    with autocast(trainer.config.ppo.precision):
+        prepared = trainer.agent.prepare(torch.from_numpy(trainer.tables.seen))
+        for _ in range(N_STEPS):
+            trainer.agent(prepared)
+
+
+def updating(trainer: _Trainer) -> None:
+    """Forward and backward pass alone, on a minibatch that is prepared already."""
+    size = PPO_CONFIG.minibatch_size
+    with autocast(trainer.config.ppo.precision):
+        seen = torch.from_numpy(trainer.tables.seen)
+        prepared = trainer.agent.prepare(seen.repeat(size // N_ENVS, 1, 1, 1))
+    for _ in range(UPDATES):
+        with autocast(trainer.config.ppo.precision):
+            logits, values = trainer.agent(prepared)
+        trainer.agent.zero_grad()
+        (logits.sum() + values.sum()).backward()
+
+
+def products(precision: Precision) -> None:
+    """As many multiplications as the network needs for a rollout and its update, in large matrices."""
+    total = 1e6 * BATCH * (MFLOP_FORWARD + PPO_CONFIG.update_epochs * (MFLOP_FORWARD + MFLOP_BACKWARD))
+    edge = 2048
+    a = torch.ones(edge, edge, dtype=torch.bfloat16 if precision == "bf16" else torch.float32)
+    for _ in range(round(total / (2 * edge**3))):
+        torch.mm(a, a)
+
+
+def seconds(work: Work, threads: int) -> float:
+    """That work takes: of the processor if one thread does it all, else of the day."""
+    clock = time.process_time if threads == 1 else time.perf_counter
+    began = clock()
+    work()
+    return clock() - began
+
+
+def measure(threads: int, rounds: int) -> Table:
+    """A row a contender, and what ours cannot do without."""
+    torch.set_num_threads(threads)
+    precisions: Sequence[Precision] = ("bf16", "fp32")
+    work: dict[str, Work] = {SB3: sb3(threads)}
+    trainer = None
+    for precision in precisions:
+        work[f"gym-open, {precision}"], trainer = ours(threads, precision)
+        work[f"acting alone, {precision}"] = partial(acting, trainer)
+        work[f"update alone, {precision}"] = partial(updating, trainer)
+        work[f"products alone, {precision}"] = partial(products, precision)
+    assert trainer is not None
+    work["environment alone"] = partial(environment, trainer)
+    for one in work.values():  # compiles, and fills caches
+        one()
+    found: dict[str, list[float]] = {name: [] for name in work}
+    for _ in range(rounds):
+        for name, one in work.items():
+            found[name].append(seconds(one, threads))
+    for precision in precisions:
+        parts = [found["environment alone"], *(found[f"{part} alone, {precision}"] for part in ("acting", "update"))]
+        found[f"floor: the three alone, {precision}"] = [sum(times) for times in zip(*parts, strict=True)]
+
+    table = Table("", "steps/s", "of its floor", "of SB3's", title=f"PPO from pictures, threads: {threads}")
+    for name, times in found.items():
+        floor = found[f"floor: the three alone, {'bf16' if 'bf16' in name else 'fp32'}"]
+        own = "" if name == "environment alone" else ratio(floor, times)
+        table.add_row(name, f"{BATCH / statistics.median(times):,.0f}", own, ratio(found[SB3], times))
+    return table
+
+
+def ratio(base: list[float], times: list[float]) -> str:
+    """How many times as fast as `base`, the median over rounds."""
+    return f"{statistics.median(b / t for b, t in zip(base, times, strict=True)):.2f}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--rounds", type=int, default=3)
+    options = parser.parse_args()
+    for threads in options.threads:
+        Console(width=100).print(measure(threads, options.rounds))
+
+
+if __name__ == "__main__":
+    main()
