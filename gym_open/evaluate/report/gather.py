@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from gym_open import artefacts
+from gym_open import artefacts, progress
 from gym_open.artefacts import CONFIG, MANIFEST, Lineage
 from gym_open.envs.puzzles import TASKS
 from gym_open.envs.puzzles.sets import PER_SET, Split
@@ -132,16 +132,18 @@ def gather(sources: Sequence[Path], split: Split) -> Sources:
     found = dict.fromkeys(path for source in sources for path in _artefacts(source))
     runs, probes, left_out = dict[str, Run](), dict[str, tuple[Path, Probe]](), list[str]()
     other = 0
-    for folder in found:
-        if (folder / RECORD).is_file():
-            run = _run(folder)
-            if run.record.split == split:
-                runs.setdefault(run.digest, run)
-            else:
-                other += 1
-        elif (folder / PROBE).is_file():
-            probe = _probe(folder)
-            probes.setdefault(probe.digest, (folder, probe))
+    with progress.bar("read scores", len(found)) as bar:
+        for folder in found:
+            if (folder / RECORD).is_file():
+                run = _run(folder)
+                if run.record.split == split:
+                    runs.setdefault(run.digest, run)
+                else:
+                    other += 1
+            elif (folder / PROBE).is_file():
+                probe = _probe(folder)
+                probes.setdefault(probe.digest, (folder, probe))
+            bar.advance()
     if other:
         left_out.append(f"{other} scores on another split than {split!r} were found and left out.")
     if not runs:

@@ -163,7 +163,7 @@ def recipes(
             Recipe(
                 agent=agent,
                 tasks=list(dict.fromkeys(run.record.task for run in own)),
-                seeds=list(dict.fromkeys(str(run.seed) for run in own)),
+                seeds=list(dict.fromkeys(str(run.seed) for run in own if run.record.agent != "oracle")),
                 commands=_commands(own[0], heads, named),
             )
         )
