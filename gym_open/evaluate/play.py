@@ -98,7 +98,7 @@ def _evaluate_policy(config: EvaluateConfig, policy: Path, out: Path, at: int | 
         actor, states = _load_actor(folder, config)
         episodes = play(actor, config.task, puzzles_of(config.task, config.split), config, states=states)
         player = _Player(
-            facts.agent, facts.seed, config.seed, trained, config.actions, link.digest, task_free_proof(link, policy)
+            facts.agent, facts.seed, config.seed, trained, config.actions, link.digest, task_free_proof(link)
         )
         return _write(partial, config, episodes, player, threads=config.threads)
 

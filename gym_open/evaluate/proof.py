@@ -9,15 +9,13 @@ What no record can show is who wrote them: see `Proof.rests_on`.
 
 from collections.abc import Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 import msgspec
 
-from gym_open.artefacts import LINEAGE, Parent
+from gym_open.artefacts import LINEAGE, Parent, code_version
 from gym_open.envs.puzzles.sets import reserved_digests
 from gym_open.errors import ArtefactError
-from gym_open.files import sha256_file
 
 Verdict = Literal["proven", "no encoder", "missing", "not applicable"]
 
@@ -65,7 +63,6 @@ class PolicyFacts(msgspec.Struct, frozen=True):
     seed: int
     encoder: Literal["none", "offline", "online"]
     from_encoder: bool
-    frozen: bool
     checkpoints: list[_Checkpoint]
 
     def steps_at(self, asked: int) -> int | None:
@@ -87,12 +84,10 @@ def policy_facts(policy: Parent, folder: Path) -> PolicyFacts:
         ) from None
 
 
-def task_free_proof(policy: Parent | None, folder: Path | None = None) -> Proof:
+def task_free_proof(policy: Parent | None) -> Proof:
     """Walk from a policy's records down to the logs its encoder was learned from (None: a random agent).
 
-    Args:
-        policy: the records of a policy's folder, or the parent in the lineage of its scores: they are the same.
-        folder: the policy itself, if it is at hand: weights of a frozen encoder are held against those it started from.
+    `policy` has the records of a policy's folder, or is the parent in the lineage of its scores: they are the same.
     """
     if policy is None:
         return Proof(verdict="no encoder", reasons=["nothing was learned at all"], chain=[])
@@ -101,18 +96,16 @@ def task_free_proof(policy: Parent | None, folder: Path | None = None) -> Proof:
     for line, faults in _walk(policy, ("policy",)):
         chain.append(line)
         reasons.extend(faults)
-    if folder is not None and not reasons:
-        reasons.extend(_faults_of_frozen(policy, folder))
     if reasons:
         return Proof(verdict="missing", reasons=reasons, chain=chain)
     if not policy.lineage.parents:
         reasons = ["nothing was learned before the task"]
         return Proof(verdict="no encoder", reasons=reasons, chain=chain, rests_on=_own_training(policy))
     trust = (
-        f"every record matches the digest that names it, up to the policy's, {policy.digest}: whoever writes all of "
+        f"Every record matches the digest that names it, up to the policy's, {policy.digest}: whoever writes all of "
         "them anew has a policy of another digest, so compare it with the one that was published. That the weights "
-        "came of the release is the word of who trained them: the same commands on the same type of machine give the "
-        "same bytes, and `gym-open dataset verify` plays a release again. "
+        "came of these links is the word of who trained them: the same commands on the same type of machine give the "
+        "same bytes, and `gym-open dataset verify` and `gym-open log replay` play again what was learned from. "
     )
     return Proof(verdict="proven", reasons=[], chain=chain, rests_on=trust + _own_training(policy))
 
@@ -125,8 +118,8 @@ def oracle_proof() -> Proof:
 
 def _own_training(policy: Parent) -> str:
     return (
-        f"The policy's own puzzles were drawn by code {policy.lineage.code}, whose generator never gives one of the "
-        f"{len(reserved_digests())} evaluation layouts."
+        f"The puzzles that the policy was trained on were drawn by code {policy.lineage.code}; the generator of code "
+        f"{code_version()}, which evaluated it, never gives one of the {len(reserved_digests())} evaluation layouts."
     )
 
 
@@ -167,25 +160,6 @@ def _faults_of_policy(link: Parent) -> Iterator[str]:
         yield f"its facts say {facts.encoder!r} of its encoder, its records have {kinds or 'none'}"
     if facts.encoder == "online" and any(_OWN not in parent.manifest for parent in parents):
         yield "the log that it started from holds no encoder"
-
-
-def _faults_of_frozen(link: Parent, folder: Path) -> Iterator[str]:
-    """An encoder that was left as it was is, written again, the very file that its artefact's manifest lists."""
-    from gym_open.agents.encoder import Encoder
-    from gym_open.formats.models import load_policy, save_encoder
-
-    if not link.lineage.facts["frozen"]:
-        return
-    encoder, found = load_policy(folder).encoder, ""
-    if isinstance(encoder, Encoder):
-        with TemporaryDirectory() as beside:
-            save_encoder(Path(beside), encoder)
-            found = sha256_file(Path(beside) / _WEIGHTS)
-    for parent in link.lineage.parents:
-        kind = parent.lineage.kind
-        if parent.manifest[_OWN if kind == "log" else _WEIGHTS].sha256 != found:
-            start = f"{kind} {parent.digest[:12]}"
-            yield f"policy {link.digest[:12]}: says that its encoder is as {start} left it, but its weights are others"
 
 
 def _faults_of_encoder(link: Parent) -> Iterator[str]:

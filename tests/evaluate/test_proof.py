@@ -8,22 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 
 from gym_open import artefacts
-from gym_open.agents.config import EncoderConfig
-from gym_open.agents.encoder import Encoder
-from gym_open.agents.policy import ActorCritic
 from gym_open.artefacts import Entry, Lineage, Parent
 from gym_open.config import Config
 from gym_open.envs.env import OpenEnv
 from gym_open.envs.puzzles import TASKS, Puzzle, Task, generators
 from gym_open.envs.puzzles.sets import puzzle_by_id, puzzles_of, reserved_digests
 from gym_open.evaluate.proof import Proof, oracle_proof, task_free_proof
-from gym_open.formats.models import save_encoder, save_policy
 from gym_open.train.tables import Tables
 
-FROM_KIND = {False: "encoder", True: "log"}
 CLEAN = {"task": "sandbox", "extrinsic_reward": False, "puzzles": ["0" * 64]}
 MODEL = ("model.safetensors", "model.json", "curve.json")
 FILES = {
@@ -56,7 +50,7 @@ def policy_of(out: Path, start: Path | None, **facts: Any) -> Path:
     kind = artefacts.lineage(start).kind if start else None
     said = {
         "task": "goal-seeking", "steps": 64, "agent": "x", "seed": 0, "checkpoints": [], "encoder": FROM[kind],
-        "from_encoder": start is not None, "frozen": False, **facts,
+        "from_encoder": start is not None, **facts,
     }  # fmt: skip
     return artefact(out, "policy", [start] if start else [], said)
 
@@ -320,43 +314,7 @@ def test_what_is_consistent_throughout_is_told_apart_by_its_digest_alone(tmp_pat
     assert "published" in proof.rests_on
 
 
-# Weights, and puzzles -------------------------------------------------------------------------------------------------
-
-
-def network(folder: Path, seed: int) -> Encoder:
-    """A small encoder, saved."""
-    folder.mkdir(parents=True, exist_ok=True)
-    made = Encoder(EncoderConfig(features=8), torch.Generator().manual_seed(seed))
-    save_encoder(folder, made)
-    return made
-
-
-@pytest.mark.parametrize("online", [False, True])
-@pytest.mark.parametrize("same", [False, True])
-def test_a_frozen_encoder_has_the_weights_of_the_one_that_it_claims(
-    tmp_path: Path, *, online: bool, same: bool
-) -> None:
-    def in_log(folder: Path) -> Mapping[str, Any]:
-        network(folder / "encoder", seed=1)
-        (folder / "stream-000-000.mcap").touch()
-        (folder / "summary.json").touch()
-        return CLEAN
-
-    def in_encoder(folder: Path) -> Mapping[str, Any]:
-        network(folder, seed=1)
-        return {}
-
-    log = artefacts.build(tmp_path / "log", kind="log", config=Config(), parents=[], work=in_log).path
-    release = release_of(tmp_path / "release", [log], [log])
-    encoder = artefacts.build(tmp_path / "encoder", kind="encoder", config=Config(), parents=[release], work=in_encoder)
-    start = log if online else encoder.path
-    claimed = policy_of(tmp_path / "policy", start, frozen=True)
-    held = network(tmp_path / "held", seed=1 if same else 2)
-    save_policy(tmp_path / "policy", ActorCritic(held, 9, torch.Generator(), frozen=True))
-    proof = task_free_proof(records(claimed), claimed)
-    assert proof.verdict == ("proven" if same else "missing")
-    if not same:
-        assert_missing(proof, f"says that its encoder is as {FROM_KIND[online]} {artefacts.digest(start)[:12]} left it")
+# The policy's own puzzles ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("task", TASKS)
