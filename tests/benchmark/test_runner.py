@@ -194,7 +194,7 @@ def _wait_for(path: Path) -> int:
     return int(path.read_text())
 
 
-def _is_alive(pid: int) -> bool:
+def is_alive(pid: int) -> bool:
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
@@ -216,7 +216,7 @@ runner.make_plan = lambda config, out, root: [test_runner.job(out, "long", scrip
 try:
     runner.run_benchmark(None, root / "out", root=root, jobs=1, console=Console(file=io.StringIO()))
 except KeyboardInterrupt:
-    sys.exit(130)
+    sys.exit(1 if test_runner.is_alive(int((root / "pid").read_text())) else 130)
 """
 
 
@@ -225,14 +225,35 @@ def test_no_child_outlives_the_runner(sign: signal.Signals, tmp_path: Path) -> N
     words = [sys.executable, "-c", RUNNER, str(Path(__file__).parent), str(tmp_path)]
     process = subprocess.Popen(words, stderr=subprocess.PIPE)
     pid = _wait_for(tmp_path / "pid")
-    assert _is_alive(pid)
+    assert is_alive(pid)
     process.send_signal(sign)
     _, error = process.communicate(timeout=20)
     assert process.returncode == (-sign if sign == signal.SIGKILL else 130), error.decode()
     until = time.monotonic() + 5
-    while _is_alive(pid):
+    while is_alive(pid):
         assert time.monotonic() < until
         time.sleep(0.01)
+
+
+def test_a_child_that_will_not_end_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runner, "_GRACE", 0.2)
+    script = """
+import os, pathlib, signal, sys, time
+signal.signal(signal.SIGTERM, signal.SIG_IGN)
+pathlib.Path(sys.argv[1] + ".pid").write_text(str(os.getpid()))
+time.sleep(60)
+"""
+    pid = tmp_path / "stubborn.pid"
+
+    class Stop(Screen):
+        def show(self, runner: Runner) -> None:  # noqa: ARG002  (it is not shown)
+            if pid.exists():
+                raise KeyboardInterrupt
+
+    made = Runner([job(tmp_path, "stubborn", script=script)], tmp_path / "jobs", 1)
+    with pytest.raises(KeyboardInterrupt):
+        made.run(Stop(Console(file=io.StringIO())))
+    assert not is_alive(_wait_for(pid))
 
 
 def benchmark(root: Path, jobs: Sequence[Job], monkeypatch: pytest.MonkeyPatch, width: int | None = None) -> str:
