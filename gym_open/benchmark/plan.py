@@ -27,7 +27,8 @@ C = TypeVar("C", bound=Config)
 Stage = Literal["collect", "dataset build", "train encoder", "train probe", "train policy", "evaluate"]
 
 SPEEDS: dict[Stage, float] = {
-    "collect": 250, "dataset build": 500, "train encoder": 12, "train probe": 0.025, "train policy": 500, "evaluate": 15,
+    "collect": 250, "dataset build": 500, "train encoder": 12, "train probe": 0.025, "train policy": 500,
+    "evaluate": 15,
 }  # fmt: skip
 """Units of a job (steps, steps, updates, probes, steps, puzzles) that one core does in a second, roughly."""
 KINDS: dict[Stage, str] = {
