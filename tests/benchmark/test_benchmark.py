@@ -68,7 +68,7 @@ def _end(process: subprocess.Popen[str]) -> tuple[int, str]:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(1800)
 def test_killed_broken_and_mended_it_ends_as_if_nothing_had_been(tmp_path: Path) -> None:
     root, other = _workspace(tmp_path / "a"), _workspace(tmp_path / "b" / "elsewhere")
     (other / "train/tiny-encoder.toml").write_text(BROKEN)
