@@ -16,7 +16,7 @@ def take_over(encoder: Encoder, how: Transfer, images: Tensor, generator: torch.
       an untrained encoder's have. Before a ReLU that changes the features' scale and nothing else. World models leave
       that scale free (normalised latents, a free bilinear form), and it grows to several times what the heads, the clip
       on values and the limit on the gradient's norm are made for.
-    - `convolutions`: its last layer is drawn afresh.
+    - `convolutions`: its last layer is drawn afresh, and scaled likewise, since what comes up to it has grown, too.
 
     Args:
         encoder: with its own mean picture.
@@ -29,7 +29,6 @@ def take_over(encoder: Encoder, how: Transfer, images: Tensor, generator: torch.
     last = _last_layer(encoder)
     if how == "convolutions":
         init_layer(last, generator)
-        return
     fresh = Encoder(encoder.config, generator)
     fresh.mean_image.copy_(encoder.mean_image)
     factor = _root_mean_square(fresh, images) / _root_mean_square(encoder, images)
