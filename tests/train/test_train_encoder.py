@@ -5,6 +5,7 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import get_args
 
 import msgspec
 import numpy as np
@@ -13,6 +14,7 @@ import torch
 
 from gym_open import artefacts
 from gym_open.agents.config import CurlConfig, EncoderConfig, IcmConfig, RndConfig
+from gym_open.config import load
 from gym_open.errors import ArtefactError, ConfigError, DivergedError
 from gym_open.formats.models import load_encoder
 from gym_open.formats.releases import open_release
@@ -36,6 +38,12 @@ each_model = pytest.mark.parametrize("config", MODELS, ids=[config.world_model f
 def curve(path: Path) -> dict[str, list[float | None]]:
     found = json.loads((path / "curve.json").read_text())
     return {name: [row[i] for row in found["rows"]] for i, name in enumerate(found["columns"])}
+
+
+@pytest.mark.parametrize("name", get_args(EncoderTrainConfig.__annotations__["world_model"]))
+def test_each_world_model_has_a_file(name: str) -> None:
+    found = load(Path(__file__).parents[2] / f"train/encoder-{name}.toml", EncoderTrainConfig)
+    assert found.world_model == name
 
 
 @each_model
