@@ -14,9 +14,11 @@ import numpy as np
 from gym_open import artefacts, progress
 from gym_open.artefacts import CONFIG, MANIFEST, Lineage
 from gym_open.envs.puzzles import TASKS
-from gym_open.envs.puzzles.sets import PER_SET, Split
+from gym_open.envs.puzzles.sets import PER_SET, Split, puzzle_id
+from gym_open.envs.tasks import step_budget
 from gym_open.errors import ArtefactError, UsageError
 from gym_open.evaluate.metrics import a_success
+from gym_open.evaluate.proof import policy_facts
 from gym_open.evaluate.scores import EPISODES, RECORD, Scores, read_episodes, read_scores
 from gym_open.files import sha256_file
 from gym_open.terminal import printable
@@ -174,15 +176,17 @@ def _artefacts(source: Path) -> Iterator[Path]:
 
 
 def _run(folder: Path) -> Run:
-    record = read_scores(folder)
-    puzzles, rewards = _episodes(folder, len(record.mean_return_within))
+    record, lineage = read_scores(folder), artefacts.lineage(folder)
+    _check_player(folder, record, lineage)
+    puzzles, rewards = _episodes(folder, record)
     returns = np.cumsum(rewards, axis=1)
     values = returns @ _weights(returns.shape[1])
-    for key, said, found in (("a_success", record.a_success, values.mean()), ("puzzles", record.puzzles, len(puzzles))):
-        if abs(said - found) > _SAME:
+    numbers = {"a_success": float(values.mean()), "mean_return": float(returns[:, -1].mean()), "puzzles": len(puzzles)}
+    for key, found in numbers.items():
+        if abs((said := getattr(record, key)) - found) > _SAME:
             raise ArtefactError(f"{folder / RECORD}: `{key}` is {said}, but {EPISODES} gives {found}; evaluate again")
     return Run(
-        folder=folder, digest=artefacts.digest(folder), lineage=artefacts.lineage(folder), record=record,
+        folder=folder, digest=artefacts.digest(folder), lineage=lineage, record=record,
         config_sha256=sha256_file(folder / CONFIG), puzzles=puzzles, returns=returns, values=values,
     )  # fmt: skip
 
@@ -193,18 +197,47 @@ def _weights(budget: int) -> np.ndarray:
     return np.array([a_success(unit) for unit in np.eye(budget)])
 
 
-def _episodes(folder: Path, budget: int) -> tuple[tuple[str, ...], np.ndarray]:
-    """Ids of the puzzles, and rewards (puzzles, budget) with zeros behind an episode's end."""
-    rows = read_episodes(folder)
+def _check_player(folder: Path, record: Scores, lineage: Lineage) -> None:
+    """Who played must be who the lineage says; where that names no policy, the proof says what is missing."""
+    if record.agent in UNTRAINED:
+        claims = [("policy", record.policy, None), ("trained", record.trained, 0)]
+        claims += [("agent", record.agent, "that of the policy in its lineage")] if lineage.parents else []
+    elif lineage.parents:
+        policy = lineage.parents[0]
+        facts = policy_facts(policy, folder)
+        lengths = {facts.steps, *(checkpoint.step for checkpoint in facts.checkpoints)}
+        claims = [("policy", record.policy, policy.digest), ("agent", record.agent, facts.agent)]
+        claims += [("task", record.task, facts.task), ("seed", record.seed, facts.seed)]
+        claims += [("trained", record.trained, record.trained if record.trained in lengths else facts.steps)]
+    else:
+        claims = []
+    for key, said, found in claims:
+        if said != found:
+            raise ArtefactError(
+                f"{folder / RECORD}: `{key}` is {said!r}, but its lineage says {found!r}; evaluate again"
+            )
+
+
+def _episodes(folder: Path, record: Scores) -> tuple[tuple[str, ...], np.ndarray]:
+    """Ids of the puzzles, and rewards (puzzles, N) with zeros behind an episode's end."""
+    rows, budget = read_episodes(folder), step_budget(record.task)
+    fixed = [puzzle_id(record.task, record.split, i) for i in range(PER_SET)]
+    ids = [row["puzzle"] for row in rows]
+    first = fixed.index(ids[0]) if ids and ids[0] in fixed else 0
+    if not ids or ids != fixed[first : first + len(ids)]:
+        raise ArtefactError(
+            f"{folder / EPISODES}: not the {record.split} puzzles of {record.task}, each once and in order; "
+            "evaluate again"
+        )
     rewards = np.zeros((len(rows), budget))
     for i, row in enumerate(rows):
         try:
             rewards[i, : len(row["rewards"])] = row["rewards"]
         except (ValueError, TypeError) as error:
             raise ArtefactError(f"{folder / EPISODES}: row {i}: not rewards of {budget} actions ({error})") from None
-    if not rows or not np.isfinite(rewards).all():
-        raise ArtefactError(f"{folder / EPISODES}: no rows, or rewards that are not finite; evaluate again")
-    return tuple(str(row["puzzle"]) for row in rows), rewards
+    if not np.isfinite(rewards).all():
+        raise ArtefactError(f"{folder / EPISODES}: rewards that are not finite; evaluate again")
+    return tuple(ids), rewards
 
 
 def _probe(folder: Path) -> Probe:

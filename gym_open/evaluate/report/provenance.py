@@ -93,7 +93,7 @@ def _chains(members: Sequence[tuple[Run, Proof]]) -> list[Chain]:
 
 def _proof(run: Run) -> Proof:
     """Walked in the records that the scores carry, whatever scores.json says."""
-    if run.record.agent in UNTRAINED:
+    if run.record.agent in UNTRAINED and run.record.proof.verdict in ("no encoder", "not applicable"):
         return run.record.proof
     if not run.lineage.parents:
         reason = "its lineage names no policy, so nothing is known of what played"

@@ -8,6 +8,7 @@ import numpy as np
 
 from gym_open import seeding
 from gym_open.envs.puzzles import TASKS
+from gym_open.errors import UsageError
 from gym_open.evaluate import statistics
 from gym_open.evaluate.paper import PAPER, PaperScore, paper_name
 from gym_open.evaluate.report.config import ReportConfig
@@ -133,7 +134,9 @@ def _place(agent: str) -> tuple[int, int, str]:
 
 
 def _reference(agents: Sequence[str], config: ReportConfig) -> str | None:
-    if config.reference in agents:
+    if config.reference:
+        if config.reference not in agents:
+            raise UsageError(f"key `reference`: no scores of {config.reference!r}; there are {', '.join(agents)}")
         return config.reference
     return next((agent for agent in agents if paper_name(agent) == "PPO (From scratch)"), None)
 

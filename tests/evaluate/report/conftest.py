@@ -40,7 +40,16 @@ def artefact(
     return artefacts.build(out, kind=kind, config=config, parents=parents, work=work).path
 
 
-def make_policy(root: Path, agent: str, task: str, seed: int, steps: int, *, log_task: str = "sandbox") -> Path:
+def make_policy(
+    root: Path,
+    agent: str,
+    task: str,
+    seed: int,
+    steps: int,
+    *,
+    log_task: str = "sandbox",
+    name: str = "",
+) -> Path:
     """A policy with records as `gym-open` writes them; of an agent with a `+` in its name the whole chain to a log."""
     parents = []
     if "+" in agent:
@@ -67,7 +76,8 @@ def make_policy(root: Path, agent: str, task: str, seed: int, steps: int, *, log
             artefact(root / agent / f"encoder-{seed}", "encoder", [release], {}, Made(name=agent, seed=seed), *model)
         ]
     facts = {
-        "task": task, "agent": agent, "seed": seed, "steps": steps, "checkpoints": [], "from_encoder": bool(parents),
+        "task": task, "agent": name or agent, "seed": seed, "steps": steps,
+        "checkpoints": [{"asked": n, "step": n} for n in (400, 500, 200_704, 503_808)], "from_encoder": bool(parents),
         "encoder": "offline" if parents else "none", "frozen": False, "hardware": HARDWARE,
     }  # fmt: skip
     config = Made(name="ppo", seed=seed, task=task, agent=agent)

@@ -55,13 +55,32 @@ def test_damaged_scores_are_named(file: str, tmp_path: Path, make_run: Make) -> 
 @pytest.mark.parametrize(
     ("change", "word"),
     [({"a_success": 0.9}, "a_success"), ({"puzzles": 99}, "puzzles"), ({"trained": "many"}, "trained"),
-     ({"mean_return_within": [0.1, 0.2]}, "row"), ({"task": "chess"}, "task")],
+     ({"mean_return": 0.0}, "mean_return"), ({"task": "chess"}, "task"), ({"split": "validation"}, "each once"),
+     ({"agent": "human", "policy": "f" * 64}, "policy")],
 )  # fmt: skip
 def test_a_record_that_its_episodes_contradict_is_refused(
     change: dict[str, Any], word: str, tmp_path: Path, make_run: Make
 ) -> None:
     bad = make_run(tmp_path / "scores", agent="random", change=change)
     _refused([tmp_path / "scores"], tmp_path, ArtefactError, str(bad), word)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"agent": "curl+ride"}, {"seed": 3}, {"trained": 999}, {"policy": "0" * 64}, {"agent": "random", "trained": 0}],
+)
+def test_who_played_is_who_the_lineage_says(
+    change: dict[str, Any], tmp_path: Path, make_run: Make, train: Make
+) -> None:
+    policy = train(tmp_path / "made", "scratch", "goal-seeking", 0, 1000)
+    bad = make_run(tmp_path / "scores", agent="scratch", trained=1000, policy=policy, change=change)
+    _refused([tmp_path / "scores"], tmp_path, ArtefactError, str(bad), "its lineage says")
+
+
+def test_an_unknown_reference_is_wrong_use(tmp_path: Path, make_run: Make) -> None:
+    make_run(tmp_path / "scores", agent="random")
+    with pytest.raises(UsageError, match=r"reference.*'scratch'.*random"):
+        write_report(ReportConfig(reference="scratch"), [tmp_path / "scores"], tmp_path / "report")
 
 
 def test_two_scores_of_one_run_are_an_error_unless_they_say_the_same(tmp_path: Path, make_run: Make) -> None:
@@ -106,6 +125,7 @@ def test_weak_evidence_is_called_so(tmp_path: Path, make_run: Make, train: Make)
             make_run(tmp_path / agent / str(seed), agent=agent, seed=seed, trained=trained, policy=policy)
     policy = train(tmp_path / "made", "scratch", "goal-seeking", 2, 1000)
     make_run(tmp_path / "late", agent="scratch", seed=2, trained=400, policy=policy)
+    policy = train(tmp_path / "made", "scratch", "tool-use", 0, 1000)
     make_run(tmp_path / "tool", agent="scratch", task="tool-use", trained=1000, policy=policy)
     make_run(tmp_path / "human", agent="human", seed=None, actions="keyboard", puzzles=20, facts={"player": "Ada"})
     table = _report([tmp_path], tmp_path / "report")
@@ -146,7 +166,7 @@ EVIL = "<script>alert(1)</script>|`*_$x$ \x1b[31m\u202eevil\n```\n# head"
 
 
 def test_names_from_files_are_only_ever_shown(tmp_path: Path, make_run: Make, train: Make) -> None:
-    policy = train(tmp_path / "made", "scratch", "goal-seeking", 0, 1000)
+    policy = train(tmp_path / "made", "scratch", "goal-seeking", 0, 1000, name=EVIL)
     hardware = {"<i>processor</i>": EVIL}
     for trained in (500, 1000):
         make_run(
@@ -157,7 +177,7 @@ def test_names_from_files_are_only_ever_shown(tmp_path: Path, make_run: Make, tr
             change={"hardware": hardware, "code": EVIL},
         )
     make_run(tmp_path / "h", agent="human", seed=None, actions="keyboard", facts={"player": EVIL})
-    made = write_report(ReportConfig(title=EVIL, resamples=100, reference=EVIL), [tmp_path], tmp_path / "report").path
+    made = write_report(ReportConfig(title=EVIL, resamples=100), [tmp_path], tmp_path / "report").path
     html = (made / "report.html").read_text(encoding="utf-8")
     assert "<script" not in html
     assert "<i>" not in html
