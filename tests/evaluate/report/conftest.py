@@ -174,3 +174,9 @@ def grid(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two agents, two tasks, two seeds, two checkpoints; random, oracle; do not write into it."""
     root = tmp_path_factory.mktemp("grid")
     return make_grid(root, ("scratch", "curl+ride"), ("goal-seeking", "tool-use"), (0, 1), skills={"curl+ride": 0.95})
+
+
+@pytest.fixture
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reports are written without figures, which take most of their time."""
+    monkeypatch.setattr("gym_open.evaluate.report.figures.draw", lambda _: [])

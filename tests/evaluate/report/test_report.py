@@ -176,6 +176,7 @@ def test_equal_scores_give_equal_bytes_wherever_they_lie_and_in_any_order(
         assert not re.search(r"\b20\d\d-\d\d-\d\d", text)
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_one_more_agent_changes_no_other_interval(report: Report, grid: Path, tmp_path: Path, make_run: Any) -> None:
     make_run(tmp_path / "more", agent="human", seed=None, actions="keyboard", facts={"player": "Ada"})
     more = Report(write_report(QUICK, [grid, tmp_path / "more"], tmp_path / "report").path)
@@ -201,6 +202,7 @@ def test_commands_and_configurations_make_it_again(report: Report) -> None:
     assert named["policy-1.toml"]["agents"] == ["scratch", "curl+ride"]
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_what_is_not_among_the_sources_is_said(grid: Path, tmp_path: Path) -> None:
     made = Report(write_report(QUICK, [grid / "scores"], tmp_path / "report").path)
     missing = [one for one in made.table["settings"] if one["toml"] is None]
@@ -208,3 +210,34 @@ def test_what_is_not_among_the_sources_is_said(grid: Path, tmp_path: Path) -> No
     digests = {path.read_text() for path in grid.glob("made/**/manifest.json")}
     assert all(any(sha in text for text in digests) for one in missing for sha in one["sha256"])
     assert "Not among the sources" in made.html
+
+
+EVIL = "<script>alert(1)</script>|`*_$x$ \x1b[31m\u202eevil\n```\n# head"
+
+
+def test_names_from_files_are_only_ever_shown(tmp_path: Path, make_run: Any, train: Any) -> None:
+    policy = train(tmp_path / "made", "scratch", "goal-seeking", 0, 1000, name=EVIL)
+    hardware = {"<i>processor</i>": EVIL}
+    for trained in (500, 1000):
+        make_run(
+            tmp_path / f"s{trained}",
+            agent=EVIL,
+            trained=trained,
+            policy=policy,
+            change={"hardware": hardware, "code": EVIL},
+        )
+    make_run(tmp_path / "h", agent="human", seed=None, actions="keyboard", facts={"player": EVIL})
+    made = write_report(ReportConfig(title=EVIL, resamples=100), [tmp_path], tmp_path / "report").path
+    html = (made / "report.html").read_text(encoding="utf-8")
+    assert "<script" not in html
+    assert "<i>" not in html
+    for file in ("report.html", "report.md"):
+        text = (made / file).read_text(encoding="utf-8")
+        assert "\x1b" not in text
+        assert "\u202e" not in text
+    markdown = (made / "report.md").read_text(encoding="utf-8")
+    outside = re.sub(r"^```\w*\n.*?^```$", "", markdown, flags=re.MULTILINE | re.DOTALL)
+    assert "<script" not in outside.replace(r"\<script", "")
+    assert not re.search(r"^# head", markdown, re.MULTILINE)
+    for figure in (made / "figures").iterdir():
+        assert b"<script" not in figure.read_bytes()
