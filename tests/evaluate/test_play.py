@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from gym_open import artefacts
-from gym_open.agents.config import EncoderConfig, PPOConfig
+from gym_open.agents.config import Architecture, EncoderConfig, PPOConfig
 from gym_open.config import Config
 from gym_open.envs.constants import N_ACTIONS
 from gym_open.envs.env import OpenEnv
@@ -141,10 +141,10 @@ def _sees(seen: np.ndarray) -> np.ndarray:
     return np.insert(np.stack(moves), 0, 0.0, axis=1)
 
 
-@pytest.mark.parametrize(("threads", "states"), [(1, False), (3, False), (2, True)])
+@pytest.mark.parametrize(("threads", "states"), [(3, False), (2, True)])
 def test_puzzles_side_by_side_go_as_each_does_alone(threads: int, *, states: bool) -> None:
     """To the bit: pictures, or states, rewards and ends, against Gymnasium's plain loop."""
-    puzzles = fixed_puzzles("avoidance")[1:8]
+    puzzles = fixed_puzzles("avoidance")[1:6]
     config = EvaluateConfig(task="avoidance", actions="greedy", threads=threads)
     episodes = play(_sees, "avoidance", puzzles, config, states=states)
     for i, puzzle in enumerate(puzzles):
@@ -163,14 +163,18 @@ def test_puzzles_side_by_side_go_as_each_does_alone(threads: int, *, states: boo
     assert len(set(episodes.steps.tolist())) > 1  # some were over before others
 
 
-@pytest.fixture(scope="module", params=["cnn", "state"])
-def policy(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def _trained(out: Path, architecture: Architecture) -> Path:
     """Two updates, 32 steps each; kept after the first of them as well."""
     config = PolicyTrainConfig(
         steps=64, num_envs=4, num_steps=8, mean_images=4, checkpoints=(20, 10_000), seed=7, threads=1, agent="mine",
-        encoder=EncoderConfig(architecture=request.param, features=16), ppo=PPOConfig(learning_rate=0.01),
+        encoder=EncoderConfig(architecture=architecture, features=16), ppo=PPOConfig(learning_rate=0.01),
     )  # fmt: skip
-    return train_policy(config, None, tmp_path_factory.mktemp(request.param) / "policy").path
+    return train_policy(config, None, out).path
+
+
+@pytest.fixture(scope="module")
+def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return _trained(tmp_path_factory.mktemp("cnn") / "policy", "cnn")
 
 
 @pytest.fixture
@@ -183,13 +187,24 @@ def two_puzzles(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_is_scored_are_the_weights_that_were_asked_for(
     policy: Path, tmp_path: Path, at: int | None, trained: int, folder: str
 ) -> None:
+    _check_scored(policy, tmp_path / "scores", at, trained, policy / folder)
+
+
+@pytest.mark.usefixtures("two_puzzles")
+def test_a_policy_that_sees_states_is_scored_on_states(tmp_path: Path) -> None:
+    policy = _trained(tmp_path / "policy", "state")
+    _check_scored(policy, tmp_path / "scores", None, 64, policy)
+
+
+def _check_scored(policy: Path, out: Path, at: int | None, trained: int, folder: Path) -> None:
+    """Scores of a policy against its network in `folder`, asked here."""
     config = EvaluateConfig(threads=1, seed=3)
-    made = evaluate(config, policy, tmp_path / "scores", at=at)
+    made = evaluate(config, policy, out, at=at)
     record = read_scores(made.path)
     assert (record.agent, record.seed, record.evaluation_seed) == ("mine", 7, 3)
     assert (record.trained, record.policy) == (trained, artefacts.digest(policy))
     assert record.proof.verdict == "no encoder"
-    network = load_policy(policy / folder)
+    network = load_policy(folder)
 
     def actor(seen: np.ndarray) -> np.ndarray:
         with torch.no_grad():
@@ -202,7 +217,7 @@ def test_what_is_scored_are_the_weights_that_were_asked_for(
     assert [row["actions"] for row in rows] == [
         actions[:n].tolist() for actions, n in zip(expected.actions, expected.steps, strict=True)
     ]
-    assert not evaluate(config, policy, tmp_path / "scores", at=at).made
+    assert not evaluate(config, policy, out, at=at).made
 
 
 @pytest.mark.usefixtures("two_puzzles")

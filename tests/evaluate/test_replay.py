@@ -175,17 +175,17 @@ def test_a_number_that_does_not_follow_is_named(forge: Forge, fields: Mapping[st
 
 def test_rewards_that_the_numbers_follow_from_are_still_played_again(forge: Forge) -> None:
     """Rewards, and all numbers that come of them, are better by as much; the actions are as they were."""
-    length = len(witness_of("avoidance/099").actions)
+    length = len(witness_of("avoidance/000").actions)
 
     def change(folder: Path) -> None:
-        in_row(99, rewards=[1.0] + [0.0] * (length - 1), steps=length)(folder)
+        in_row(0, rewards=[1.0] + [0.0] * (length - 1), steps=length)(folder)
         rows = read_episodes(folder)
         rewards, steps = np.zeros((100, 100)), np.array([row["steps"] for row in rows])
         for out, row in zip(rewards, rows, strict=True):
             out[: row["steps"]] = row["rewards"]
         in_record(**summarise(Episodes(rewards, rewards, steps, steps > 0)))(folder)
 
-    with pytest.raises(ArtefactError, match="avoidance/099: step 1: reward"):
+    with pytest.raises(ArtefactError, match="avoidance/000: step 1: reward"):
         verify_scores(forge(change))
 
 
