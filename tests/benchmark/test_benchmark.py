@@ -63,7 +63,10 @@ def _digests(root: Path) -> dict[str, str]:
 
 
 def _end(process: subprocess.Popen[str]) -> tuple[int, str]:
-    said, _ = process.communicate()
+    try:
+        said, _ = process.communicate()
+    finally:
+        process.kill()  # nothing, if it has ended
     return process.returncode, said
 
 
