@@ -18,7 +18,7 @@ from gym_open.envs.puzzles.sets import puzzle_by_id, puzzles_of
 from gym_open.envs.puzzles.witnesses import witness_of
 from gym_open.errors import ArtefactError
 from gym_open.evaluate import play
-from gym_open.evaluate.config import EvaluateConfig
+from gym_open.evaluate.config import CheckpointConfig, EvaluateConfig
 from gym_open.evaluate.play import evaluate
 from gym_open.evaluate.replay import replay_puzzle, verify_scores
 from gym_open.evaluate.scores import EPISODES, RECORD, Episodes, read_episodes, read_scores, summarise
@@ -203,6 +203,46 @@ def test_scores_of_one_puzzle_a_hundred_times_are_refused(forge: Forge) -> None:
 def test_scores_of_a_policy_that_name_none_are_cut(forge: Forge) -> None:
     with pytest.raises(ArtefactError, match="scores of 'curl' that name no policy: the chain is cut"):
         verify_scores(forge(in_record(agent="curl")))
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"agent": "mine"}, "`agent` is 'mine', but 'theirs' follows"),
+        ({"seed": 2}, "`seed` is 2, but 1 follows"),
+        ({"trained": 1_000_000}, "`trained` is 1000000, but 224 follows"),
+        ({"actions": "greedy"}, "`actions` is 'greedy', but 'sampled' follows"),
+        ({"evaluation_seed": 9}, "`evaluation_seed` is 9, but 0 follows"),
+        ({"policy": "0" * 64}, "`policy` is '0000"),
+        ({"split": "validation"}, "expected the validation puzzles"),
+        ({"proof": {"verdict": "proven", "reasons": [], "chain": []}}, "is 'proven', but the lineage gives 'missing'"),
+    ],
+)
+def test_who_played_must_follow_from_the_lineage(
+    scores: Path, tmp_path: Path, fields: Mapping[str, Any], message: str
+) -> None:
+    """Scores of a policy at a checkpoint, that says it had no encoder, and has no weights either: nothing is proven."""
+    facts = {
+        "task": "avoidance", "steps": 640, "agent": "theirs", "seed": 1, "encoder": "none", "from_encoder": False,
+        "checkpoints": [{"asked": 200, "step": 224}],
+    }  # fmt: skip
+    policy = artefacts.build(tmp_path / "policy", kind="policy", config=Config(), parents=[], work=lambda _: facts).path
+
+    def work(folder: Path) -> Mapping[str, Any]:
+        for name in (RECORD, EPISODES):
+            shutil.copy(scores / name, folder / name)
+        missing = {"verdict": "missing", "reasons": ["no weights"], "chain": []}
+        honest = {
+            "agent": "theirs", "seed": 1, "evaluation_seed": 0, "trained": 224, "actions": "sampled",
+            "policy": artefacts.digest(policy), "proof": missing,
+        }  # fmt: skip
+        in_record(**{**honest, **fields})(folder)
+        return {}
+
+    config = CheckpointConfig(task="avoidance", at=200)
+    made = artefacts.build(tmp_path / "scores", kind="scores", config=config, parents=[policy], work=work).path
+    with pytest.raises(ArtefactError, match=message):
+        verify_scores(made)
 
 
 def test_a_proof_that_was_written_in_is_not_believed(forge: Forge) -> None:
