@@ -188,7 +188,7 @@ def draw(runs: dict[str, list[Run]], path: Path) -> None:
         axes.plot(steps, curves.mean(axis=0), color=colour, linestyle=line, label=f"{name}, {len(own)} seeds")
         axes.fill_between(steps, curves.min(axis=0), curves.max(axis=0), color=colour, alpha=0.2, linewidth=0)
     axes.set(xlabel="agent steps", ylabel="return of finished episodes", title=f"PPO on the state, {TASK}")
-    axes.legend()
+    axes.legend(title="mean, and range of the seeds")
     axes.grid(alpha=0.3)
     figure.savefig(path, metadata={"Software": None})
 
