@@ -112,6 +112,7 @@ def code_version() -> str:
     return f"{gym_open.__version__}+{total.hexdigest()[:12]}"
 
 
+@functools.cache
 def _packages() -> dict[str, str]:
     found = {}
     for name in RECORDED_PACKAGES:

@@ -1,6 +1,7 @@
 """A report as a page (HTML, one file, nothing fetched, no script) and as Markdown."""
 
 import base64
+import functools
 import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ from gym_open.evaluate.report.provenance import Proven, Recipe, Setting
 from gym_open.evaluate.report.results import Cell, Results
 
 if TYPE_CHECKING:
+    from jinja2 import Environment
     from markupsafe import Markup
 
 
@@ -45,31 +47,42 @@ def markdown(content: Content, figures: Sequence[Drawn], config: ReportConfig) -
     return _render("page.md.jinja", content, figures, config)
 
 
-def _render(template: str, content: Content, figures: Sequence[Drawn], config: ReportConfig) -> str:
+@functools.cache
+def _environment() -> "Environment":
     import jinja2
 
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("gym_open.evaluate.report", "."),
-        autoescape=jinja2.select_autoescape(["html.jinja"]), trim_blocks=True, lstrip_blocks=True,
+        autoescape=jinja2.select_autoescape(["html.jinja"]),
+        trim_blocks=True,
+        lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
-    )  # fmt: skip
+    )
     environment.filters |= {name: getattr(words, name) for name in ("number", "interval", "signed", "steps")}
     environment.filters |= {"data": _data, "cell": _table_cell, "breakable": _breakable}
+    return environment
+
+
+def _render(template: str, content: Content, figures: Sequence[Drawn], config: ReportConfig) -> str:
     results = content.results
     by_pair = {(one.agent, one.other): one for one in results.improvements}
-    return environment.get_template(template).render(
-        c=content,
-        r=results,
-        config=config,
-        figures=figures,
-        best=_best(results),
-        compared=_compared(results),
-        percent=f"{100 * config.confidence:.3g}%",
-        bound=_bound,
-        count=words.count,
-        crossing=lambda task: _crossing(results, task),
-        improvement=lambda agent, other: by_pair.get((agent, other)),
-        standing=standing,
+    return (
+        _environment()
+        .get_template(template)
+        .render(
+            c=content,
+            r=results,
+            config=config,
+            figures=figures,
+            best=_best(results),
+            compared=_compared(results),
+            percent=f"{100 * config.confidence:.3g}%",
+            bound=_bound,
+            count=words.count,
+            crossing=lambda task: _crossing(results, task),
+            improvement=lambda agent, other: by_pair.get((agent, other)),
+            standing=standing,
+        )
     )
 
 
