@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+from rich.box import SIMPLE
 from rich.table import Table
 
-from gym_open import artefacts
 from gym_open.terminal import markup
 
 PAPER_NOTE = "paper, goal-seeking, 1M steps: PPO from scratch .509, CURL+RIDE .532, human .584"
@@ -45,34 +45,28 @@ def score_table(scores: Mapping[str, Path]) -> Table:
             f"{record['a_success']:.3f} ± {record['a_success_half_width_95']:.3f}",
             f"{record['mean_return']:.2f}",
             f"{record['mean_steps']:.0f}",
-            f"{_training_steps(path):,}",
+            f"{record['trained']:,}",
             markup(record["proof"]["verdict"]),
         )
     return table
 
 
-def _training_steps(scores: Path) -> int:
-    parents = artefacts.lineage(scores).parents
-    return int(parents[0].lineage.facts["steps"]) if parents else 0
-
-
 def probe_table(path: Path) -> Table:
     """One row a target: how well a linear map reads it from features on held-out worlds, and what training gained."""
     targets = read_json(path / "probe.json")["targets"]
-    features = list(next(iter(targets.values()))["scores"])
-    table = Table(title="linear probe (error in cells)", title_justify="left")
-    for name in ("target", "measure"):
-        table.add_column(name)
+    rows = sorted(targets.items(), key=lambda row: ("error_cells" not in row[1]["scores"]["trained"], row[0]))
+    features = [name for name in ("trained", "untrained", "pixels") if name in rows[0][1]["scores"]]
+    table = Table(title="linear probe: R² if not said otherwise (error in cells)", title_justify="left", box=SIMPLE)
+    table.add_column("target", no_wrap=True)
     for name in ("guess", *features, "gain (95%)"):
         table.add_column(name, justify="right", no_wrap=True)
-    for target, row in targets.items():
-        gain = row["gain"]
+    for target, row in rows:
+        gain, measure = row["gain"], "" if row["measure"] == "r2" else f", {row['measure']}"
         table.add_row(
-            markup(target),
-            markup(row["measure"]),
+            markup(target + measure),
             f"{row['guess']:.2f}",
             *(_probe_cell(row["scores"][name]) for name in features),
-            f"{gain['value']:+.2f} [{gain['low']:+.2f}, {gain['high']:+.2f}]",
+            f"{gain['low']:+.2f}…{gain['high']:+.2f}",
         )
     return table
 
