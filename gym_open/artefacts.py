@@ -107,7 +107,7 @@ def code_version() -> str:
     """Version of gym-open and a digest of its source files, so that changed code is never taken for the same."""
     root = Path(gym_open.__file__).parent
     total = hashlib.sha256()
-    for path in sorted(root.rglob("*.py")):
+    for path in sorted([*root.rglob("*.py"), *root.rglob("*.jinja")]):
         total.update(f"{path.relative_to(root).as_posix()} {sha256_file(path)}\n".encode())
     return f"{gym_open.__version__}+{total.hexdigest()[:12]}"
 

@@ -147,13 +147,13 @@ def gather(sources: Sequence[Path], split: Split) -> Sources:
                 probes.setdefault(probe.digest, (folder, probe))
             bar.advance()
     if other:
-        left_out.append(f"{other} scores on another split than {split!r} were found and left out.")
+        left_out.append(f"Scores on another split than {split!r} were left out: {other}.")
     if not runs:
         names = ", ".join(map(str, sources))
         raise UsageError(f"{names}: no scores of the {split} puzzles below; make some with `gym-open evaluate`")
     kept, aside = _without_set_aside(list(runs.values()))
     if aside:
-        left_out.append(f"{aside} scores that newer ones had set aside (NAME-1 beside NAME) were left out.")
+        left_out.append(f"Scores that newer ones had set aside (NAME-1 beside NAME) were left out: {aside}.")
     kept.sort(key=lambda run: (TASKS.index(run.record.task), run.identity))
     ordered = sorted(probes.values(), key=lambda item: item[1].digest)
     return Sources(
@@ -253,16 +253,19 @@ def _decode(path: Path, kind: Any) -> Any:
 
 
 def _without_set_aside(runs: list[Run]) -> tuple[list[Run], int]:
-    kept = dict[tuple[str, str, str, int], Run]()
+    kept, aside = dict[tuple[str, str, str, int], Run](), 0
     for run in sorted(runs, key=lambda run: (len(run.folder.name), str(run.folder))):
         first = kept.setdefault(run.identity, run)
-        if first is not run and not _is_set_aside(run.folder, first.folder) and not _is_same(run, first):
+        if first is run or _is_same(run, first):
+            continue
+        if not _is_set_aside(run.folder, first.folder):
             task, name, seed, trained = run.identity
             raise ArtefactError(
                 f"{run.folder} and {first.folder}: both are scores of {name} on {task}, seed {seed}, {trained:,} steps"
                 "; give folders that hold only one of them"
             )
-    return list(kept.values()), sum(_is_set_aside(run.folder, kept[run.identity].folder) for run in runs)
+        aside += 1
+    return list(kept.values()), aside
 
 
 def _is_same(run: Run, first: Run) -> bool:
