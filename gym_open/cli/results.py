@@ -8,6 +8,7 @@ import tyro
 
 from gym_open.cli.base import Command, out, report, say
 from gym_open.config import load
+from gym_open.evaluate.config import ReportConfig
 from gym_open.summary import short, word
 
 
@@ -52,20 +53,16 @@ class Report(Command):
     """Folders that hold scores, at any depth; probes and policies below them are told of, too."""
     out: Path = Path("evaluate/reports/report")
     """Folder for the page."""
-    split: str = "test"
-    """Which puzzles' scores: `test` or `validation`."""
-    seed: int = 0
-    """Of the bootstrap."""
+    settings: Annotated[ReportConfig, tyro.conf.arg(name="")] = ReportConfig()  # noqa: RUF009  (frozen)
+    """How intervals are drawn, and what the agents are compared with."""
 
     about = "one page of scores, with intervals and proofs"
 
     def run(self) -> None:
         """Write it."""
-        from gym_open.config import check
-        from gym_open.evaluate.report import ReportConfig, write_report
+        from gym_open.evaluate.report import write_report
 
-        config = check(ReportConfig(split=self.split, seed=self.seed), source="options")  # pyright: ignore[reportArgumentType]  # checked here
-        made = write_report(config, self.sources, self.out)
+        made = write_report(self.settings, self.sources, self.out)
         report(made, f"open {word(made.path / 'report.html')} in a browser, or read {word(made.path / 'report.md')}")
 
 

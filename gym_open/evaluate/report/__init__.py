@@ -8,7 +8,7 @@ import msgspec
 
 from gym_open import artefacts
 from gym_open.config import check, to_dict
-from gym_open.evaluate.report.config import ReportConfig
+from gym_open.evaluate.config import ReportConfig
 from gym_open.evaluate.report.gather import Run, Sources, gather, one_line
 
 __all__ = ["ReportConfig", "write_report"]

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from gym_open.evaluate.config import ReportConfig
 from gym_open.evaluate.report import words
-from gym_open.evaluate.report.config import ReportConfig
 from gym_open.evaluate.report.figures import Drawn
 from gym_open.evaluate.report.gather import standing
 from gym_open.evaluate.report.probes import Probed

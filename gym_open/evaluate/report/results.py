@@ -10,8 +10,8 @@ from gym_open import seeding
 from gym_open.envs.puzzles import TASKS
 from gym_open.errors import UsageError
 from gym_open.evaluate import statistics
+from gym_open.evaluate.config import ReportConfig
 from gym_open.evaluate.paper import PAPER, PaperScore, paper_name
-from gym_open.evaluate.report.config import ReportConfig
 from gym_open.evaluate.report.gather import Run, is_trained, standing
 
 
