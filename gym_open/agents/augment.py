@@ -64,21 +64,24 @@ def _place(  # noqa: PLR0917  # compiled code takes arguments by position
     bits = line.view(np.uint32)
     for i in range(n):
         down, right = shifts[i, 0], shifts[i, 1] * channels
-        first, last = max(right, 0), width + min(right, 0)
+        first, last = max(right, 0), max(width + min(right, 0), 0)
         for row in range(height):
             source = row - down
             line[:] = 0
             if 0 <= source < height:
-                for k in range(first, last):
-                    line[k] = weight[source, k - right] * images[i, source, k - right] + offset[source, k - right]
+                # Slices, so that no index may be negative: else the loop takes one number at a time.
+                pixels = images[i, source, first - right : last - right]
+                w, o = weight[source, first - right : last - right], offset[source, first - right : last - right]
+                moved = line[first:last]
+                for k in range(len(moved)):
+                    moved[k] = w[k] * pixels[k] + o[k]
+            to = out[i, row]
             if low:  # rounded to even, as PyTorch does
                 for k in range(width):
-                    out[i, row, k] = (bits[k] + np.uint32(0x7FFF) + ((bits[k] >> np.uint32(16)) & np.uint32(1))) >> (
-                        np.uint32(16)
-                    )
+                    to[k] = (bits[k] + np.uint32(0x7FFF) + ((bits[k] >> np.uint32(16)) & np.uint32(1))) >> np.uint32(16)
             else:
                 for k in range(width):
-                    out[i, row, k] = bits[k]
+                    to[k] = bits[k]
 
 
 def _shift_each_cuda(images: Tensor, shifts: Tensor, weight: Tensor, offset: Tensor) -> Tensor:
