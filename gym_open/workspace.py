@@ -14,6 +14,8 @@ IGNORED = (
     "train/policies/",
     "train/probes/",
     "evaluate/scores/",
+    "evaluate/reports/",
+    "evaluate/benchmarks/",
     "viz/recordings/",
     "viz/figures/",
 )

@@ -116,6 +116,7 @@ def _explorers(lineage: artefacts.Lineage) -> set[str]:
 
 def check_architecture(config: PolicyTrainConfig, encoder: Path) -> None:
     """Raise ArtefactError unless `encoder` holds the network that the configuration asks for."""
+    artefacts.digest(encoder)  # raises if there is none
     kind = artefacts.lineage(encoder).kind
     if kind not in {"encoder", "log"}:
         raise ArtefactError(f"{encoder}: a {kind}; give an encoder, or a log whose explorer learned one")
