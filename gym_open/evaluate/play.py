@@ -95,7 +95,7 @@ def _evaluate_policy(config: EvaluateConfig, policy: Path, out: Path, at: int | 
         folder = policy_folder(policy, trained)
 
     def work(partial: Path) -> Mapping[str, Any]:
-        actor, states = _load_actor(folder, config)
+        actor, states = load_actor(folder, config)
         episodes = play(actor, config.task, puzzles_of(config.task, config.split), config, states=states)
         player = _Player(
             facts.agent, facts.seed, config.seed, trained, config.actions, link.digest, task_free_proof(link)
@@ -120,7 +120,7 @@ def _step(policy: Path, facts: PolicyFacts, at: int) -> int:
 
 def _evaluate_random(config: EvaluateConfig, out: Path) -> artefacts.Outcome:
     def work(partial: Path) -> Mapping[str, Any]:
-        episodes = play(_uniform, config.task, puzzles_of(config.task, config.split), config)
+        episodes = play(uniform, config.task, puzzles_of(config.task, config.split), config)
         player = _Player("random", config.seed, config.seed, 0, config.actions, None, task_free_proof(None))
         return _write(partial, config, episodes, player, threads=config.threads)
 
@@ -172,13 +172,18 @@ def play(
         config: way of choosing actions, seed, threads.
         states: show the actor the simulation's states, not pictures.
     """
-    rngs = [generator(config.seed, "evaluate", task, i) for i in range(len(puzzles))]
+    return _episodes(chooser(actor, task, len(puzzles), config), task, puzzles, threads=config.threads, states=states)
+
+
+def chooser(actor: Actor, task: Task, n: int, config: EvaluateConfig) -> Choice:
+    """How the actor's probabilities become the actions that are played in n puzzles, and scored."""
+    rngs = [generator(config.seed, "evaluate", task, i) for i in range(n)]
 
     def choose(_: int, running: np.ndarray, seen: np.ndarray) -> list[int]:
         rows = zip(running, actor(seen), strict=True)
         return [int(p.argmax()) if config.actions == "greedy" else _sample(p, rngs[i]) for i, p in rows]
 
-    return _episodes(choose, task, puzzles, threads=config.threads, states=states)
+    return choose
 
 
 def replay(task: Task, puzzles: tuple[Puzzle, ...], sequences: Sequence[Sequence[int]]) -> Episodes:
@@ -228,11 +233,12 @@ def _shares(running: np.ndarray, threads: int) -> list[tuple[int, int]]:
     return [(int(part[0]), int(part[-1]) + 1) for part in parts if part.size]
 
 
-def _uniform(images: np.ndarray) -> np.ndarray:
+def uniform(images: np.ndarray) -> np.ndarray:
+    """The random agent: every action is as likely, whatever is seen."""
     return np.full((len(images), N_ACTIONS), 1 / N_ACTIONS)
 
 
-def _load_actor(folder: Path, config: EvaluateConfig) -> tuple[Actor, bool]:
+def load_actor(folder: Path, config: EvaluateConfig) -> tuple[Actor, bool]:
     """The policy in a folder, and whether it sees states in place of pictures."""
     import torch
 
