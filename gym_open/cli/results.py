@@ -8,6 +8,7 @@ import tyro
 
 from gym_open.cli.base import Command, out, report, say
 from gym_open.config import load
+from gym_open.errors import UsageError
 from gym_open.evaluate.config import ReportConfig
 from gym_open.summary import short, word
 
@@ -49,8 +50,9 @@ class Report(Command):
     Example: gym-open report evaluate/scores --out evaluate/reports/first
     """
 
-    sources: Annotated[list[Path], tyro.conf.Positional]
-    """Folders that hold scores, at any depth; probes and policies below them are told of, too."""
+    sources: Annotated[tuple[Path, ...], tyro.conf.Positional] = (Path("evaluate/scores"),)
+    """Folders that hold scores, at any depth; probes below them are shown, too. What trained the agents is looked up in
+    the workspace around them."""
     out: Path = Path("evaluate/reports/report")
     """Folder for the page."""
     settings: Annotated[ReportConfig, tyro.conf.arg(name="")] = ReportConfig()  # noqa: RUF009  (frozen)
@@ -70,7 +72,10 @@ class Report(Command):
 class ScoreVerify(Command):
     """Play again what was scored, and work out anew what it claims: rewards, scores, who played, the proof.
 
-    Example: gym-open score verify evaluate/scores/policy-goal-seeking
+    The random agent's actions are drawn again, and the oracle's are the witnesses. A policy's are chosen again if its
+    folder is given; without it, nothing shows that the policy chose them.
+
+    Example: gym-open score verify evaluate/scores/policy-goal-seeking --policy train/policies/policy-goal-seeking
 
     Example: gym-open score verify evaluate/scores/policy-goal-seeking --puzzle goal-seeking/017
     """
@@ -79,17 +84,23 @@ class ScoreVerify(Command):
     """Folder of scores."""
     puzzle: str | None = None
     """Only the episode on this puzzle, such as goal-seeking/017."""
+    policy: Path | None = None
+    """Folder of the policy that was scored: let it choose its actions again."""
 
     about = "play scored episodes again and check the scores"
 
     def run(self) -> None:
         """Verify."""
-        from gym_open.evaluate.replay import replay_puzzle, verify_scores
+        from gym_open.evaluate.replay import replay_puzzle
+        from gym_open.evaluate.verify import verify_scores
 
         if self.puzzle is None:
-            record = verify_scores(self.scores)
+            record, chosen = verify_scores(self.scores, self.policy)
             say(f"{short(self.scores)}: {record.puzzles} episodes, A-Success {record.a_success:.3f}", verb="verified")
+            say(f"  {chosen}")
             return
+        if self.policy is not None:
+            raise UsageError("score verify: --policy chooses again in all puzzles; leave out --puzzle, or --policy")
         found = replay_puzzle(self.scores, self.puzzle)
         end = "done" if found.terminated else "out of actions"
         paid = sum(found.rewards)

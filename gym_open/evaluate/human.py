@@ -24,7 +24,7 @@ from gym_open.envs.tasks import judge, rewarded, step_budget
 from gym_open.envs.world import World
 from gym_open.errors import ArtefactError, ConfigError, GymOpenError
 from gym_open.evaluate import scores
-from gym_open.evaluate.proof import Proof
+from gym_open.evaluate.proof import human_proof
 from gym_open.evaluate.scores import Episodes, Scores
 from gym_open.formats.logs import LogHead, LogWriter, SegmentStart, StepRecord, Switch, log_name
 from gym_open.hardware import hardware
@@ -236,10 +236,9 @@ def write_scores(
         steps=np.array([len(one.actions) for one in rounds]),
         terminated=np.array([one.terminated for one in rounds]),
     )
-    proof = Proof(verdict="no encoder", reasons=["a person played: no policy, and nothing learned from logs"], chain=[])
     record = Scores(
         task=config.task, split=config.split, agent="human", seed=None, evaluation_seed=None, trained=0,
-        actions="keyboard", policy=None, proof=proof, code=artefacts.code_version(), hardware=hardware(1),
+        actions="keyboard", policy=None, proof=human_proof(), code=artefacts.code_version(), hardware=hardware(1),
         **scores.summarise(episodes),
     )  # fmt: skip
     scores.write_scores(folder, record, {"player": config.player, "picture": config.picture})

@@ -84,11 +84,14 @@ def policy_facts(policy: Parent, folder: Path) -> PolicyFacts:
         ) from None
 
 
-def task_free_proof(policy: Parent | None) -> Proof:
+def task_free_proof(policy: Parent | None, *, evaluator: str | None = None) -> Proof:
     """Walk from a policy's records down to the logs its encoder was learned from (None: a random agent).
 
-    `policy` has the records of a policy's folder, or is the parent in the lineage of its scores: they are the same.
+    Args:
+        policy: records of a policy's folder, or the parent in the lineage of its scores: they are the same.
+        evaluator: version of the code that scored it; by default this one.
     """
+    evaluator = evaluator or code_version()
     if policy is None:
         return Proof(verdict="no encoder", reasons=["nothing was learned at all"], chain=[])
     reasons: list[str] = []
@@ -100,14 +103,14 @@ def task_free_proof(policy: Parent | None) -> Proof:
         return Proof(verdict="missing", reasons=reasons, chain=chain)
     if not policy.lineage.parents:
         reasons = ["nothing was learned before the task"]
-        return Proof(verdict="no encoder", reasons=reasons, chain=chain, rests_on=_own_training(policy))
+        return Proof(verdict="no encoder", reasons=reasons, chain=chain, rests_on=_own_training(policy, evaluator))
     trust = (
         f"Every record matches the digest that names it, up to the policy's, {policy.digest}: whoever writes all of "
         "them anew has a policy of another digest, so compare it with the one that was published. That the weights "
         "came of these links is the word of who trained them: the same commands on the same type of machine give the "
         "same bytes, and `gym-open dataset verify` and `gym-open log replay` play again what was learned from. "
     )
-    return Proof(verdict="proven", reasons=[], chain=chain, rests_on=trust + _own_training(policy))
+    return Proof(verdict="proven", reasons=[], chain=chain, rests_on=trust + _own_training(policy, evaluator))
 
 
 def oracle_proof() -> Proof:
@@ -116,10 +119,15 @@ def oracle_proof() -> Proof:
     return Proof(verdict="not applicable", reasons=[reason], chain=[])
 
 
-def _own_training(policy: Parent) -> str:
+def human_proof() -> Proof:
+    """What can be said of a person: nothing of the kind."""
+    return Proof(verdict="no encoder", reasons=["a person played: no policy, and nothing learned from logs"], chain=[])
+
+
+def _own_training(policy: Parent, evaluator: str) -> str:
     return (
         f"The puzzles that the policy was trained on were drawn by code {policy.lineage.code}; the generator of code "
-        f"{code_version()}, which evaluated it, never gives one of the {len(reserved_digests())} evaluation layouts."
+        f"{evaluator}, which evaluated it, never gives one of the {len(reserved_digests())} evaluation layouts."
     )
 
 

@@ -20,8 +20,10 @@ from gym_open.errors import ArtefactError
 from gym_open.evaluate import play
 from gym_open.evaluate.config import CheckpointConfig, EvaluateConfig
 from gym_open.evaluate.play import evaluate
-from gym_open.evaluate.replay import replay_puzzle, verify_scores
+from gym_open.evaluate.proof import task_free_proof
+from gym_open.evaluate.replay import replay_puzzle
 from gym_open.evaluate.scores import EPISODES, RECORD, Episodes, read_episodes, read_scores, summarise
+from gym_open.evaluate.verify import verify_scores
 
 Forge = Callable[[Callable[[Path], None]], Path]
 
@@ -90,7 +92,7 @@ def test_a_puzzle_is_played_again_by_its_id(scores: Path) -> None:
 
 
 def test_all_of_honest_scores_follows_from_their_episodes(scores: Path) -> None:
-    assert verify_scores(scores) == read_scores(scores)
+    assert verify_scores(scores) == (read_scores(scores), "every action is the witness's")
 
 
 @pytest.mark.parametrize(
@@ -178,7 +180,7 @@ def test_rewards_that_the_numbers_follow_from_are_still_played_again(forge: Forg
     length = len(witness_of("avoidance/000").actions)
 
     def change(folder: Path) -> None:
-        in_row(0, rewards=[1.0] + [0.0] * (length - 1), steps=length)(folder)
+        in_row(0, rewards=[1.0] + [0.0] * (length - 1), a_success=1.0)(folder)
         rows = read_episodes(folder)
         rewards, steps = np.zeros((100, 100)), np.array([row["steps"] for row in rows])
         for out, row in zip(rewards, rows, strict=True):
@@ -215,7 +217,7 @@ def test_scores_of_a_policy_that_name_none_are_cut(forge: Forge) -> None:
         ({"evaluation_seed": 9}, "`evaluation_seed` is 9, but 0 follows"),
         ({"policy": "0" * 64}, "`policy` is '0000"),
         ({"split": "validation"}, "expected the validation puzzles"),
-        ({"proof": {"verdict": "proven", "reasons": [], "chain": []}}, "is 'proven', but the lineage gives 'missing'"),
+        ({"proof": {"verdict": "proven", "reasons": [], "chain": []}}, "is 'proven', but 'missing' follows"),
     ],
 )
 def test_who_played_must_follow_from_the_lineage(
@@ -231,10 +233,11 @@ def test_who_played_must_follow_from_the_lineage(
     def work(folder: Path) -> Mapping[str, Any]:
         for name in (RECORD, EPISODES):
             shutil.copy(scores / name, folder / name)
-        missing = {"verdict": "missing", "reasons": ["no weights"], "chain": []}
+        link = artefacts.Parent(artefacts.digest(policy), artefacts.manifest(policy), artefacts.lineage(policy))
+        missing = msgspec.to_builtins(task_free_proof(link))
         honest = {
             "agent": "theirs", "seed": 1, "evaluation_seed": 0, "trained": 224, "actions": "sampled",
-            "policy": artefacts.digest(policy), "proof": missing,
+            "policy": link.digest, "proof": missing,
         }  # fmt: skip
         in_record(**{**honest, **fields})(folder)
         return {}
@@ -247,7 +250,7 @@ def test_who_played_must_follow_from_the_lineage(
 
 def test_a_proof_that_was_written_in_is_not_believed(forge: Forge) -> None:
     proof = {"verdict": "proven", "reasons": [], "chain": ["policy 0123"], "rests_on": ""}
-    with pytest.raises(ArtefactError, match="the chain is cut"):
+    with pytest.raises(ArtefactError, match=r"`proof\.verdict` is 'proven', but 'not applicable' follows"):
         verify_scores(forge(in_record(proof=proof)))
 
 
