@@ -318,18 +318,18 @@ def build(
     partial = out.parent / f".{out.name}.partial"
     partial.parent.mkdir(parents=True, exist_ok=True)
     with lock(out):
-        _claim(partial, key)
-        try:
-            facts = dict(work(partial))
-        except RefusedError:
-            shutil.rmtree(partial)
-            raise
-        except OSError as error:
-            if error.errno in FULL:
-                raise unwritable(Path(error.filename or partial), error) from error
-            raise
-        record = Lineage(kind=kind, key=key, code=code_version(), packages=_packages(), facts=facts, parents=inputs)
-        _seal(partial, config, record)
+        if not _claim(partial, key):
+            try:
+                facts = dict(work(partial))
+            except RefusedError:
+                shutil.rmtree(partial)
+                raise
+            except OSError as error:
+                if error.errno in FULL:
+                    raise unwritable(Path(error.filename or partial), error) from error
+                raise
+            record = Lineage(kind=kind, key=key, code=code_version(), packages=_packages(), facts=facts, parents=inputs)
+            _seal(partial, config, record)
         earlier = _set_aside(out) if out.exists() else None
         partial.rename(out)
     return Outcome(path=out, made=True, earlier=earlier)
@@ -367,13 +367,19 @@ def _key(kind: str, config: Config, parents: Sequence[str]) -> str:
     return hashlib.sha256(canonical_json(value)).hexdigest()
 
 
-def _claim(partial: Path, key: str) -> None:
+def _claim(partial: Path, key: str) -> bool:
+    """Take the folder to work in; True if all is done, by a run that was killed between sealing and renaming it."""
+    if (partial / MANIFEST).is_file() and lineage(partial).key == key:
+        shutil.rmtree(partial / SCRATCH, ignore_errors=True)
+        _verify_own(partial)
+        return True
     mark = partial / SCRATCH / "key"
     if partial.exists() and (not mark.is_file() or mark.read_text() != key):
         _set_aside(partial)
     mark.parent.mkdir(parents=True, exist_ok=True)
     if not mark.exists():
         write_atomically(mark, key.encode())
+    return False
 
 
 def _seal(partial: Path, config: Config, record: Lineage) -> None:
@@ -388,4 +394,4 @@ def _seal(partial: Path, config: Config, record: Lineage) -> None:
         if name != MANIFEST and not name.startswith(f"{SCRATCH}/")
     }
     write_atomically(partial / MANIFEST, canonical_json(entries))
-    shutil.rmtree(partial / SCRATCH)  # last: until then a kill leaves a folder that the same command goes on from
+    shutil.rmtree(partial / SCRATCH)  # last: a kill leaves a folder that the same command goes on from, or only renames

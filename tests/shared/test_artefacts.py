@@ -297,6 +297,66 @@ def test_work_that_fails_leaves_no_artefact_and_the_next_call_goes_on_from_its_f
     assert not (tmp_path / "a" / artefacts.SCRATCH).exists()
 
 
+@pytest.mark.parametrize(
+    ("at", "earlier"), [("scratch", False), ("in scratch", False), ("rename", False), ("rename", True), ("aside", True)]
+)
+def test_a_kill_behind_the_seal_loses_no_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: str, *, earlier: bool
+) -> None:
+    """Killed before, in or behind the removal of its checkpoint, or with the earlier artefact aside: it is renamed."""
+    out, worked = tmp_path / "a", list[Path]()
+    rmtree, rename = shutil.rmtree, Path.rename
+
+    def work(partial: Path) -> Mapping[str, Any]:
+        worked.append(partial)
+        (partial / artefacts.SCRATCH / "state").write_text("hours")
+        (partial / "weights").write_text("hours")
+        return {}
+
+    def removed(path: Path, **options: Any) -> None:
+        if at == "in scratch":
+            (path / "key").unlink()
+        if "scratch" in at:
+            raise KeyboardInterrupt
+        rmtree(path, **options)
+
+    def renamed(path: Path, target: Path) -> Path:
+        if at == "rename" and path.name == ".a.partial":
+            raise KeyboardInterrupt
+        moved = rename(path, target)
+        if at == "aside" and path == out:
+            raise KeyboardInterrupt
+        return moved
+
+    if earlier:
+        _make(out)
+    with monkeypatch.context() as patch:
+        patch.setattr(shutil, "rmtree", removed)
+        patch.setattr(Path, "rename", renamed)
+        with pytest.raises(KeyboardInterrupt):
+            artefacts.build(out, kind="toy", config=Toy(n=4), parents=(), work=work)
+    assert artefacts.build(out, kind="toy", config=Toy(n=4), parents=(), work=work).made
+    assert len(worked) == 1
+    artefacts.verify(out, "toy")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "a-1"][: 1 + earlier]
+
+
+def test_a_sealed_folder_that_was_damaged_is_not_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def killed(path: Path, target: Path) -> Path:
+        if path.name == ".a.partial":
+            raise KeyboardInterrupt
+        return rename(path, target)
+
+    rename = Path.rename
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "rename", killed)
+        with pytest.raises(KeyboardInterrupt):
+            _make(tmp_path / "a")
+    (tmp_path / ".a.partial" / "data" / "numbers.txt").write_text("0 1 3")
+    with pytest.raises(ArtefactError, match=r"numbers\.txt.*remove the folder .*\.a\.partial and run"):
+        _make(tmp_path / "a")
+
+
 def test_unfinished_work_of_other_inputs_is_set_aside_not_lost(tmp_path: Path) -> None:
     def fail(partial: Path) -> Mapping[str, Any]:
         (partial / "precious").write_text("hours")
@@ -306,6 +366,20 @@ def test_unfinished_work_of_other_inputs_is_set_aside_not_lost(tmp_path: Path) -
         artefacts.build(tmp_path / "a", kind="toy", config=Toy(), parents=(), work=fail)
     _make(tmp_path / "a", Toy(n=5))
     assert [p.read_text() for p in tmp_path.glob(".a.partial-*/precious")] == ["hours"]
+
+
+def test_where_nothing_can_be_written_is_said_before_any_work(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+
+    def build(out: Path) -> None:
+        artefacts.build(out, kind="toy", config=Toy(), parents=(), work=lambda _: pytest.fail("work was begun"))
+
+    for out in (tmp_path / "file/a", tmp_path / "file/deep/a"):
+        with pytest.raises(UsageError, match=rf"{out}: cannot be made: {tmp_path}/file is not a folder .*other --out"):
+            build(out)
+    with pytest.raises(UsageError, match=r"/proc/a: cannot be made: nothing new can be made in /proc .*other --out"):
+        build(Path("/proc/a"))
+    assert (tmp_path / "file").read_text() == "mine"
 
 
 def test_two_writers_of_the_same_artefact_are_refused(tmp_path: Path) -> None:
