@@ -299,7 +299,8 @@ def build(
     Raises:
         ArtefactError: if a parent is damaged, `out` is something else, or the disk is full.
         RefusedError: if `work` raises it; nothing of what it made is kept.
-        UsageError: if another process is writing `out` now, or it is there, of other inputs, and not to be replaced.
+        UsageError: if another process is writing `out` now, nothing can be written there, or it is there, of other
+            inputs, and not to be replaced.
     """
     out = out.absolute()
     inputs = [Parent(digest=verify(parent), manifest=manifest(parent), lineage=lineage(parent)) for parent in parents]
@@ -316,7 +317,6 @@ def build(
                 "--out, or of a release a higher --version"
             )
     partial = out.parent / f".{out.name}.partial"
-    partial.parent.mkdir(parents=True, exist_ok=True)
     with lock(out):
         if not _claim(partial, key):
             try:

@@ -46,12 +46,16 @@ def load(path: Path, kind: type[C]) -> C:
     """Read a configuration of type `kind` from the TOML file at `path`.
 
     Raises:
-        ConfigError: if the file is missing, is not TOML, or holds a key or value that `kind` refuses.
+        ConfigError: if the file cannot be read, is not TOML, or holds a key or value that `kind` refuses.
     """
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise ConfigError(f"{path}: no such configuration file; give another with --config") from None
+        raise ConfigError(
+            f"{path}: no such configuration file; give one that is there (`gym-open init` makes the default ones)"
+        ) from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror or error}); give a TOML file") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: not valid TOML: {error}") from None
     return decode(raw, kind, source=str(path))

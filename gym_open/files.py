@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import IO
 
 from gym_open.errors import ArtefactError, UsageError
 
@@ -50,13 +51,13 @@ def unwritable(path: Path, error: OSError) -> ArtefactError:
 
 @contextmanager
 def lock(out: Path) -> Iterator[None]:
-    """Hold `out` against other processes, by a file beside it.
+    """Hold `out` against other processes, by a file beside it; the folder that both are in is made.
 
     Raises:
-        UsageError: if another process holds it.
+        UsageError: if another process holds it, or nothing can be written there.
+        ArtefactError: if the disk is full.
     """
-    mark = out.parent / f".{out.name}.lock"
-    with mark.open("w") as file:
+    with _mark(out) as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -66,4 +67,16 @@ def lock(out: Path) -> Iterator[None]:
         try:
             yield
         finally:
-            mark.unlink(missing_ok=True)
+            Path(file.name).unlink(missing_ok=True)
+
+
+def _mark(out: Path) -> IO[str]:
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        return (out.parent / f".{out.name}.lock").open("w")
+    except OSError as error:
+        if error.errno in FULL:
+            raise unwritable(out, error) from error
+        there = next(folder for folder in out.absolute().parents if folder.exists())
+        why = f"nothing new can be made in {there}" if there.is_dir() else f"{there} is not a folder"
+        raise UsageError(f"{out}: cannot be made: {why} ({error.strerror or error}); give another --out") from None

@@ -150,8 +150,10 @@ def _learn_the_task(
     scores = {}
     for name, policy in policies.items():
         folder = root / "evaluate/scores" / (policy.name if policy else f"{task}-random-seed{seed}")
+        config = plan.evaluate if policy else msgspec.structs.replace(plan.evaluate, actions="sampled")
         scores[name] = journal.stage(
-            f"evaluate {name}", lambda policy=policy, folder=folder: evaluate(plan.evaluate, policy, folder)
+            f"evaluate {name}",
+            lambda policy=policy, folder=folder, config=config: evaluate(config, policy, folder),
         )
     return probed, [policy for policy in policies.values() if policy], scores
 

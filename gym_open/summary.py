@@ -1,15 +1,20 @@
 """Tables that a person reads at the end: scores, probes, proof. Everything comes from artefacts on disk."""
 
+import re
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import msgspec
 from rich.box import SIMPLE
+from rich.cells import cell_len
+from rich.console import Console, ConsoleOptions
+from rich.measure import Measurement
 from rich.table import Table
+from rich.text import Text
 
-from gym_open.terminal import markup
+from gym_open.terminal import markup, printable
 
 PAPER_NOTE = "paper, goal-seeking, 1M steps: PPO from scratch .509, CURL+RIDE .532, human .584"
 
@@ -29,19 +34,39 @@ def read_json(path: Path) -> dict[str, Any]:
     return msgspec.json.decode(path.read_bytes())
 
 
+class Name:
+    """A name in a table: where its column is too narrow for it, it is broken behind a hyphen, a slash or a space."""
+
+    def __init__(self, name: str) -> None:
+        self.parts = re.findall(r"[^-/\s]+[-/\s]*|[-/\s]+", printable(name)) or [""]
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Text]:
+        """As many parts a line as there is room for."""
+        lines = [""]
+        for part in self.parts:
+            if cell_len((lines[-1] + part).rstrip()) > options.max_width and lines[-1]:
+                lines.append("")
+            lines[-1] += part
+        yield Text("\n".join(line.rstrip() for line in lines), overflow="fold")
+
+    def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:
+        """From the longest part to the whole."""
+        return Measurement(max(cell_len(part.rstrip()) for part in self.parts), cell_len("".join(self.parts)))
+
+
 def score_table(scores: Mapping[str, Path]) -> Table:
     """One row an agent: A-Success with its 95% interval over the puzzles, mean return, mean actions, training steps."""
     first = read_json(next(iter(scores.values())) / "scores.json")
     title = f"{first['task']}: the same {first['puzzles']} {first['split']} puzzles for everyone"
-    table = Table(title=title, title_justify="left")
-    table.add_column("agent", overflow="fold")
+    table = Table(title=title, title_justify="left", box=SIMPLE, show_edge=False, collapse_padding=True, pad_edge=False)
+    table.add_column("agent")
     for name in ("A-Success (95%)", "return", "actions", "trained"):
         table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("task-free", overflow="fold")
+    table.add_column("task-free", max_width=len("no encoder"))
     for name, path in scores.items():
         record = read_json(path / "scores.json")
         table.add_row(
-            markup(name),
+            Name(name),
             f"{record['a_success']:.3f} ± {record['a_success_half_width_95']:.3f}",
             f"{record['mean_return']:.2f}",
             f"{record['mean_steps']:.0f}",
@@ -56,17 +81,19 @@ def probe_table(path: Path) -> Table:
     targets = read_json(path / "probe.json")["targets"]
     rows = sorted(targets.items(), key=lambda row: ("error_cells" not in row[1]["scores"]["trained"], row[0]))
     features = [name for name in ("trained", "untrained", "pixels") if name in rows[0][1]["scores"]]
-    table = Table(title="linear probe: R² if not said otherwise (error in cells)", title_justify="left", box=SIMPLE)
+    title = "linear probe: R² if not said otherwise (error in cells)"
+    table = Table(title=title, title_justify="left", box=SIMPLE, show_edge=False, collapse_padding=True, pad_edge=False)
     table.add_column("target", no_wrap=True)
-    for name in ("guess", *features, "gain (95%)"):
-        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("gain (95%)", justify="right", no_wrap=True)
+    for name in (*features, "guess"):  # where there is no room, their errors go below their values
+        table.add_column(name, justify="right")
     for target, row in rows:
         gain, measure = row["gain"], "" if row["measure"] == "r2" else f", {row['measure']}"
         table.add_row(
             markup(target + measure),
-            f"{row['guess']:.2f}",
-            *(_probe_cell(row["scores"][name]) for name in features),
             f"{gain['low']:+.2f}…{gain['high']:+.2f}",
+            *(_probe_cell(row["scores"][name]) for name in features),
+            f"{row['guess']:.2f}",
         )
     return table
 

@@ -8,8 +8,11 @@ from pathlib import Path
 import pytest
 
 from gym_open import artefacts, workspace
-from gym_open.cli import COMMANDS, base, main
+from gym_open.cli import COMMANDS, _parse, base, main
+from gym_open.cli.stages import StageCommand
+from gym_open.collect.config import CollectConfig
 from gym_open.config import Config
+from gym_open.errors import UsageError
 from gym_open.summary import word
 from gym_open.terminal import printable
 
@@ -54,6 +57,13 @@ def test_help_imports_none_of_the_slow_libraries() -> None:
         (["collect", "--workspace", "nowhere"], "no such configuration file"),
         (["run", "--workspace", "nowhere"], "not a workspace"),
         (["run", "--workspace", "WORKSPACE", "--seed", "-1"], "key `seed`"),
+        (
+            ["train", "encoder", "--workspace", "WORKSPACE", "--release", "r", "--encoder.architecture", "state"],
+            "error: options: `encoder.architecture` 'state' looks at no picture",
+        ),
+        (["benchmark", "WORKSPACE/nope.toml", "--out", "o"], "nope.toml: no such configuration file"),
+        (["evaluate", "--workspace", "WORKSPACE", "--actions", "greedy"], "`actions` greedy takes a policy's"),
+        (["evaluate", "--workspace", "WORKSPACE", "--oracle", "--out", "/proc/x"], "/proc/x: cannot be made"),
     ],
 )
 def test_wrong_use_ends_with_2_and_says_why(
@@ -61,6 +71,54 @@ def test_wrong_use_ends_with_2_and_says_why(
 ) -> None:
     assert main([word.replace("WORKSPACE", str(root)) for word in words]) == 2
     assert said in " ".join(capsys.readouterr().err.split())
+
+
+def test_options_that_do_not_go_together_are_told_by_name(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two levels down, where the parser itself finds out."""
+    with pytest.raises(SystemExit) as caught:
+        main(["collect", "--workspace", str(root), "--explorer.world-model", "none"])
+    assert caught.value.code == 2
+    assert "`reward` 'ride' needs a world model" in " ".join(capsys.readouterr().err.replace("│", " ").split())
+
+
+@pytest.mark.parametrize("form", ["{} {}", "{}={}"])
+def test_of_an_option_given_twice_the_last_counts(form: str, root: Path, tmp_path: Path) -> None:
+    (tmp_path / "first.toml").write_text("seed = 1\nthreads = 3\n")
+    (tmp_path / "last.toml").write_text("seed = 2\n")
+    pairs = (("--workspace", "nowhere"), ("--config", "nowhere"), ("--config", tmp_path / "first.toml"),
+             ("--workspace", root), ("--config", tmp_path / "last.toml"))  # fmt: skip
+    command = _parse("collect", [word for pair in pairs for word in form.format(*pair).split()])
+    assert isinstance(command, StageCommand)
+    assert (command.config, command.workspace) == (tmp_path / "last.toml", root)
+    assert command.settings == CollectConfig(seed=2)
+
+
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        ([], "goal-seeking-random"),
+        (["--oracle", "--actions", "greedy"], "goal-seeking-oracle"),
+        (["--split", "validation"], "goal-seeking-random-validation"),
+        (["--policy", "some/p"], "p"),
+        (["--policy", "some/p", "--actions", "greedy"], "p-greedy"),
+        (
+            ["--policy", "some/p", "--at", "20", "--actions", "greedy", "--split", "validation"],
+            "p-at20-greedy-validation",
+        ),
+    ],
+)
+def test_scores_of_another_kind_have_a_folder_of_their_own(
+    words: list[str], name: str, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folders: list[Path] = []
+
+    def evaluate(_config: Config, _policy: Path | None, out: Path, **_: object) -> None:
+        folders.append(out)
+        raise UsageError("that will do")
+
+    monkeypatch.setattr("gym_open.evaluate.play.evaluate", evaluate)
+    assert main(["evaluate", "--workspace", str(root), *words]) == 2
+    assert folders == [root / "evaluate/scores" / name]
 
 
 def test_a_shown_puzzles_record_can_be_copied(capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -100,12 +101,16 @@ class Encoder(nn.Module):
         return self.layers(prepared)
 
     @torch.no_grad()
-    def encode(self, images: Tensor) -> Tensor:
-        """Features (B, features), fp32 and without gradient, of pictures (B, 84, 84, 3) uint8 on the same device.
+    def encode(self, images: Tensor | np.ndarray) -> Tensor:
+        """Features (B, features), fp32 and without gradient, of pictures (B, 84, 84, 3) uint8.
+
+        A tensor must be on the encoder's device; an array is copied there.
 
         Raises:
             ValueError: if `images` has another shape or type.
         """
-        if images.shape[1:] != IMAGE_SHAPE or images.dtype != torch.uint8:
+        if images.shape[1:] != IMAGE_SHAPE or images.dtype not in (torch.uint8, np.uint8):
             raise ValueError(f"images must be (B, 84, 84, 3) uint8, got {tuple(images.shape)} {images.dtype}")
+        if isinstance(images, np.ndarray):  # copied, since torch takes no read-only array, nor one that runs backwards
+            images = torch.from_numpy(np.array(images, order="C")).to(self.mean_image.device)
         return self(self.prepare(images)).float()

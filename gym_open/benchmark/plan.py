@@ -202,7 +202,10 @@ class _Planner:
 
     def score(self, name: str, task: TaskName, options: Sequence[str], *needs: Job, key: Config | None = None) -> None:
         """One evaluation."""
-        config = check(msgspec.structs.replace(self.evaluation, task=task), source="tasks")
+        changed = msgspec.structs.replace(self.evaluation, task=task)
+        if not needs:  # without a policy no action is the likeliest
+            changed = msgspec.structs.replace(changed, actions="sampled")
+        config = check(changed, source="tasks")
         out = self.out / "evaluate/scores" / name
         self.add(Job(f"score-{name}", "evaluate", out, config, _PUZZLES, tuple(options), needs, key))
 

@@ -16,7 +16,7 @@ from gym_open.cli import datasets, logs, results, stages, world
 from gym_open.cli.base import Command
 from gym_open.config import check, load
 from gym_open.envs.look.backend import check_backend
-from gym_open.errors import GymOpenError
+from gym_open.errors import ConfigError, GymOpenError
 from gym_open.terminal import printable
 
 COMMANDS: dict[str, type[Command]] = {
@@ -101,18 +101,23 @@ def _parse(name: str, words: list[str]) -> Command:
     settings = settings_type() if asks_help and not file.is_file() else load(file, settings_type)
     given: dict[str, Any] = {"settings": settings, "workspace": root, "config": file}
     required = {f.name: tyro.MISSING for f in fields(kind) if f.default is MISSING and f.name not in given}
-    command = tyro.cli(kind, args=words, prog=program, config=_FLAGS, default=kind(**given, **required))
+    try:
+        command = tyro.cli(kind, args=words, prog=program, config=_FLAGS, default=kind(**given, **required))
+    except ValueError as error:  # options that do not go together: a configuration's own check
+        raise ConfigError(f"options: {error}") from None
     check(command.settings, source="options")
     return command
 
 
 def _value(words: Sequence[str], option: str) -> str | None:
-    for i, word in enumerate(words):
-        if word == option and i + 1 < len(words):
-            return words[i + 1]
-        if word.startswith(f"{option}="):
-            return word.split("=", 1)[1]
-    return None
+    """What the option is given last, as the parser has it."""
+    found = None
+    for word, following in zip(words, [*words[1:], None], strict=True):
+        if word == option:
+            found = following
+        elif word.startswith(f"{option}="):
+            found = word.split("=", 1)[1]
+    return found
 
 
 def _overview() -> None:

@@ -142,7 +142,7 @@ class TrainProbe(StageCommand):
 
     settings: Settings[ProbeConfig]
     encoder: Path
-    """Folder of an encoder."""
+    """Folder of an encoder, or of logs whose explorer learned one."""
     out: Path | None = None
     """Folder of the result; default train/probes/ and the encoder's name."""
 
@@ -175,7 +175,7 @@ class Evaluate(StageCommand):
     at: int | None = None
     """Score the policy as it was at this checkpoint, one that its configuration asked for; default its end."""
     out: Path | None = None
-    """Folder of the scores; default evaluate/scores/ and the policy's name."""
+    """Folder of the scores; default evaluate/scores/ and what was scored, and how."""
 
     default = "evaluate/goal-seeking.toml"
     about = "score a policy on the 100 fixed puzzles"
@@ -184,13 +184,19 @@ class Evaluate(StageCommand):
         """Evaluate."""
         from gym_open.evaluate.play import evaluate
 
-        name = self.policy.name if self.policy else f"{self.settings.task}-{'oracle' if self.oracle else 'random'}"
-        name += "" if self.at is None else f"-at{self.at}"
+        name = self._name()
         folder = self.place(self.out, "evaluate/scores", name)
         made = evaluate(self.settings, self.policy, folder, oracle=self.oracle, at=self.at)
         out.print(score_table({name: made.path}))
         say(proof_text(name, made.path))
         report(made, f"gym-open score verify {word(made.path)}", f"gym-open report {word(made.path.parent)}")
+
+    def _name(self) -> str:
+        """What was scored, and how if that is not the usual: scores that differ in it stand side by side."""
+        name = self.policy.name if self.policy else f"{self.settings.task}-{'oracle' if self.oracle else 'random'}"
+        name += "" if self.at is None else f"-at{self.at}"
+        name += "-greedy" if self.policy and self.settings.actions == "greedy" else ""
+        return name + ("" if self.settings.split == "test" else f"-{self.settings.split}")
 
 
 @dataclass(frozen=True, kw_only=True)

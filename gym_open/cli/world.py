@@ -195,7 +195,7 @@ class Play(Command):
     workspace: Path = Path()
     """Folder with the five stage folders."""
     save: Path | None = None
-    """Folder of the scores; default evaluate/scores/ and the task's and player's names."""
+    """Folder of the scores; default evaluate/scores/ and the task's, player's and set's names."""
 
     about = "play the fixed puzzles yourself, logged and scored"
 
@@ -206,7 +206,7 @@ class Play(Command):
         config = HumanConfig(
             task=self.task, split=self.split, puzzles=self.puzzles, player=self.player, picture=self.picture
         )
-        name = f"{self.task}-{self.player}".replace("/", "-")
+        name = f"{self.task}-{self.player}".replace("/", "-") + ("" if self.split == "test" else f"-{self.split}")
         folder = self.save or workspace.check(self.workspace) / "evaluate/scores" / name
         try:
             made = play_as_person(config, folder)

@@ -65,7 +65,8 @@ def evaluate(
 
     Raises:
         ArtefactError: if the policy is damaged or was trained for another task.
-        UsageError: if both a policy and the oracle are asked for, or the policy has no such checkpoint.
+        UsageError: if both a policy and the oracle are asked for, the policy has no such checkpoint, or the likeliest
+            actions are asked for and there is no policy.
     """
     if at is not None and policy is None:
         raise UsageError(f"evaluate: --at {at} is a checkpoint of a policy, and there is none; give --policy")
@@ -74,6 +75,11 @@ def evaluate(
             raise UsageError(f"evaluate: the oracle needs no policy, got {policy}; leave one of the two out")
         return _evaluate_oracle(config, out)
     if policy is None:
+        if config.actions == "greedy":
+            raise UsageError(
+                "evaluate: `actions` greedy takes a policy's likeliest actions, and there is none; give --policy, or "
+                "--actions sampled for uniformly random ones"
+            )
         return _evaluate_random(config, out)
     return _evaluate_policy(config, policy, out, at)
 
@@ -88,7 +94,7 @@ def _evaluate_policy(config: EvaluateConfig, policy: Path, out: Path, at: int | 
     )
     facts = policy_facts(link, policy)
     if facts.task != config.task:
-        raise ArtefactError(f"{policy}: trained for task {facts.task!r}, not {config.task!r}; set `task` to match")
+        raise ArtefactError(f"{policy}: trained for task {facts.task!r}, not {config.task!r}; give --task {facts.task}")
     folder, trained = policy, facts.steps
     if at is not None:
         trained = _step(policy, facts, at)

@@ -1,5 +1,6 @@
 """Encoders and policies on disk: `model.safetensors` (tensors) beside `model.json` (what they are tensors of)."""
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Literal, TypeVar
 
@@ -10,7 +11,7 @@ from torch import Tensor, nn
 from gym_open.agents.config import EncoderConfig
 from gym_open.agents.encoder import Encoder
 from gym_open.agents.policy import ActorCritic, make_encoder
-from gym_open.artefacts import canonical_json, write_atomically
+from gym_open.artefacts import canonical_json, lineage, write_atomically
 from gym_open.errors import ArtefactError
 from gym_open.formats.checkpoints import load_checkpoint, save_checkpoint
 
@@ -92,11 +93,36 @@ def read_architecture(artefact: Path, kind: type[A]) -> A:
     """
     path = artefact / ARCHITECTURE
     try:
-        return msgspec.json.decode(path.read_bytes(), type=kind)
-    except FileNotFoundError:
-        raise ArtefactError(f"{path}: missing, so there is no model here; train one or give its folder") from None
+        data = path.read_bytes()
+    except (FileNotFoundError, NotADirectoryError):
+        raise ArtefactError(_no_model(artefact)) from None
+    try:
+        return msgspec.json.decode(data, type=kind)
     except msgspec.DecodeError as error:
-        raise ArtefactError(f"{path}: not an {kind.__name__} as gym-open writes it: {error}") from None
+        names = {"encoder": "an encoder", "policy": "a policy"}
+        wanted = names.pop("encoder" if kind is EncoderArchitecture else "policy")
+        with suppress(msgspec.DecodeError):
+            if given := names.get(msgspec.json.decode(data, type=_Kind).kind):
+                raise ArtefactError(f"{artefact}: {given}, not {wanted}; give the folder of {wanted}") from None
+        raise ArtefactError(f"{path}: not {wanted} as gym-open writes it: {error}") from None
+
+
+class _Kind(msgspec.Struct, frozen=True):
+    """What a model.json is of, whatever else it says."""
+
+    kind: str
+
+
+def _no_model(folder: Path) -> str:
+    if not folder.is_dir():
+        return f"{folder}: no such folder; train a model or give another folder"
+    with suppress(ArtefactError):
+        if lineage(folder).kind == "log":
+            return (
+                f"{folder}: a log without an encoder, since its explorer learned none (random play does not); give an "
+                "encoder, or a log of another explorer"
+            )
+    return f"{folder / ARCHITECTURE}: missing, so there is no model here; train one or give its folder"
 
 
 def _save(folder: Path, model: nn.Module, architecture: EncoderArchitecture | PolicyArchitecture) -> None:

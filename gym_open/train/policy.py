@@ -200,7 +200,7 @@ class _Trainer:
                 self.rows.append(self.row(episodes, stats))
                 self.save()
                 board.row(self.step, dict(zip(COLUMNS, self.rows[-1], strict=True)))
-                bar.advance(0, note=f"return {_mean([e.total for e in episodes]):.2f} entropy {stats.entropy:.2f}")
+                bar.advance(0, note=f"return {_shown([e.total for e in episodes])} entropy {stats.entropy:.2f}")
         board.close()
 
     @torch.no_grad()
@@ -277,3 +277,7 @@ class _Trainer:
 
 def _mean(values: list[float]) -> float:
     return sum(values) / len(values) if values else float("nan")
+
+
+def _shown(values: list[float]) -> str:
+    return f"{_mean(values):.2f}" if values else "–"

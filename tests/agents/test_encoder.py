@@ -29,6 +29,28 @@ def test_prepare_centres_scales_and_moves_channels_first() -> None:
     assert prepared.is_contiguous(memory_format=torch.channels_last)
 
 
+def test_arrays_are_encoded_as_tensors_are() -> None:
+    """Read-only ones and views that run backwards, too, and without a warning."""
+    net, images = encoder(features=8), pictures(3)
+    expected = net.encode(images)
+    array = images.numpy().copy()
+    array.flags.writeable = False
+    assert torch.equal(net.encode(array), expected)
+    assert torch.equal(net.encode(array[::-1, :, ::-1]), net.encode(images.flip(0, 2)))
+    assert not array.flags.writeable
+    assert not expected.requires_grad
+
+
+@pytest.mark.parametrize("kind", ["array", "tensor"])
+@pytest.mark.parametrize(
+    ("shape", "dtype"), [((84, 84, 3), "uint8"), ((1, 3, 84, 84), "uint8"), ((1, 84, 84, 3), "float32")]
+)
+def test_what_are_no_pictures_is_not_encoded(kind: str, shape: tuple[int, ...], dtype: str) -> None:
+    array = np.zeros(shape, dtype)
+    with pytest.raises(ValueError, match=r"must be \(B, 84, 84, 3\) uint8, got \(.*\) .*" + dtype):
+        encoder(features=8).encode(array if kind == "array" else torch.from_numpy(array))
+
+
 def test_mean_image_is_the_same_for_any_order() -> None:
     net, images = encoder(), pictures(100)
     net.set_mean_image(images)

@@ -92,6 +92,17 @@ def test_one_play_for_all_seeds_or_one_for_each() -> None:
         assert [job.config.seed for job in jobs.values() if isinstance(job.config, PolicyTrainConfig)] == [3, 4]
 
 
+def test_only_policies_take_their_likeliest_actions(tmp_path: Path) -> None:
+    (tmp_path / "train").symlink_to(ROOT / "train")
+    (tmp_path / "evaluate").mkdir()
+    (tmp_path / "evaluate/goal-seeking.toml").write_text('actions = "greedy"')
+    jobs = plan(root=tmp_path, agents=[SCRATCH]).values()
+    scored = {job.name: job.config.actions for job in jobs if isinstance(job.config, EvaluateConfig)}
+    assert scored.pop("score-random-goal-seeking") == "sampled"
+    scored.pop("score-oracle-goal-seeking")
+    assert set(scored.values()) == {"greedy"}
+
+
 def test_lengths_are_replaced() -> None:
     long = {**ONLINE, "name": "long", "collect_steps": 999}
     jobs = plan(

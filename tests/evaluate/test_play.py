@@ -135,6 +135,12 @@ def test_the_oracle_takes_no_policy(tmp_path: Path) -> None:
         evaluate(EvaluateConfig(), tmp_path / "policy", tmp_path / "scores", oracle=True)
 
 
+def test_no_policy_has_no_likeliest_action(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"`actions` greedy .*give --policy, or --actions sampled"):
+        evaluate(EvaluateConfig(actions="greedy"), None, tmp_path / "scores")
+    assert not list(tmp_path.iterdir())
+
+
 def _sees(seen: np.ndarray) -> np.ndarray:
     """Probabilities that another pixel, or another number of a state, would make others; action 0 would stay there."""
     moves = [np.random.default_rng(zlib.crc32(one.tobytes())).dirichlet(np.ones(N_ACTIONS - 1)) for one in seen]
@@ -237,7 +243,9 @@ def test_a_checkpoint_that_was_not_reached_is_named_with_those_that_are_there(po
 
 
 def test_a_policy_of_another_task_is_refused(policy: Path, tmp_path: Path) -> None:
-    with pytest.raises(ArtefactError, match="trained for task 'goal-seeking', not 'tool-use'"):
+    with pytest.raises(
+        ArtefactError, match="trained for task 'goal-seeking', not 'tool-use'; give --task goal-seeking"
+    ):
         evaluate(EvaluateConfig(task="tool-use"), policy, tmp_path / "scores")
 
 

@@ -5,9 +5,11 @@ from pathlib import Path
 import pytest
 import torch
 
+from gym_open import artefacts
 from gym_open.agents.config import EncoderConfig
 from gym_open.agents.encoder import Encoder
 from gym_open.agents.policy import ActorCritic
+from gym_open.config import Config
 from gym_open.errors import ArtefactError
 from gym_open.formats.checkpoints import load_checkpoint, save_checkpoint
 from gym_open.formats.models import load_encoder, load_policy, save_encoder, save_policy
@@ -79,12 +81,6 @@ def test_missing_and_unknown_tensors_are_named(tmp_path: Path, change: str, mess
         load_encoder(tmp_path)
 
 
-def test_a_policy_is_no_encoder(tmp_path: Path) -> None:
-    save_policy(tmp_path, policy())
-    with pytest.raises(ArtefactError, match=r"model\.json.*'policy'"):
-        load_encoder(tmp_path)
-
-
 @pytest.mark.parametrize(
     "text",
     [
@@ -95,10 +91,35 @@ def test_a_policy_is_no_encoder(tmp_path: Path) -> None:
 def test_a_damaged_architecture_is_named(tmp_path: Path, text: str) -> None:
     save_encoder(tmp_path, encoder())
     (tmp_path / "model.json").write_text(text)
-    with pytest.raises(ArtefactError, match=r"model\.json: not an EncoderArchitecture"):
+    with pytest.raises(ArtefactError, match=r"model\.json: not an encoder as gym-open writes it"):
         load_encoder(tmp_path)
 
 
 def test_no_model_at_all(tmp_path: Path) -> None:
     with pytest.raises(ArtefactError, match=r"model\.json: missing"):
         load_policy(tmp_path)
+
+
+def test_a_folder_that_holds_something_else_is_told_what(tmp_path: Path) -> None:
+    save_policy(tmp_path / "policy", policy())
+    save_encoder(tmp_path / "encoder", encoder())
+    (tmp_path / "policy/file").write_text("")
+    with pytest.raises(ArtefactError, match=r"/policy: a policy, not an encoder; give the folder of an encoder"):
+        load_encoder(tmp_path / "policy")
+    with pytest.raises(ArtefactError, match=r"/encoder: an encoder, not a policy; give the folder of a policy"):
+        load_policy(tmp_path / "encoder")
+    for nowhere in ("nowhere", "policy/file", "policy/file/deeper"):
+        with pytest.raises(ArtefactError, match=f"{nowhere}: no such folder"):
+            load_encoder(tmp_path / nowhere)
+    (tmp_path / "encoder/model.json").write_text('{"kind": "something new"}')
+    with pytest.raises(ArtefactError, match=r"model\.json: not an encoder as gym-open writes it"):
+        load_encoder(tmp_path / "encoder")
+
+
+def test_a_log_of_random_play_has_no_encoder(tmp_path: Path) -> None:
+    log = artefacts.build(tmp_path / "log", kind="log", config=Config(), parents=(), work=lambda _: {}).path
+    with pytest.raises(ArtefactError, match=r"/log: a log without an encoder.*random play"):
+        load_encoder(log)
+    other = artefacts.build(tmp_path / "toy", kind="toy", config=Config(), parents=(), work=lambda _: {}).path
+    with pytest.raises(ArtefactError, match=r"model\.json: missing, so there is no model here"):
+        load_encoder(other)

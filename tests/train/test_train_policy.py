@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from gym_open import artefacts, seeding
+from gym_open import artefacts, progress, seeding
 from gym_open.agents.config import CurlConfig, EncoderConfig, ExplorerConfig, PPOConfig
 from gym_open.agents.encoder import Encoder
 from gym_open.collect.config import CollectConfig, CurriculumConfig
@@ -238,3 +238,12 @@ def test_success_is_all_goals_hit() -> None:
     assert any(not e.success and e.length < 100 for e in episodes)
     most = max(e.total for e in episodes)
     assert all(e.total == most for e in episodes if e.success)
+
+
+def test_a_return_that_is_not_known_yet_is_shown_as_a_dash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In these few steps the first episode does not end."""
+    notes: list[str] = []
+    monkeypatch.setattr(progress.Bar, "advance", lambda *_, note="": notes.append(note))
+    train_policy(msgspec.structs.replace(TINY, steps=16), None, tmp_path / "p")
+    shown = [note for note in notes if note]
+    assert [note.split(" entropy")[0] for note in shown] == ["return –"]
