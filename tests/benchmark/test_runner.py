@@ -203,13 +203,14 @@ def is_alive(pid: int) -> bool:
 
 
 RUNNER = """
-import io, sys
+import io, signal, sys
 from pathlib import Path
 from rich.console import Console
 sys.path[:0] = sys.argv[1:2]
 import test_runner
 from gym_open.benchmark import AgentConfig, BenchmarkConfig, child, run_benchmark, runner
 child.PROGRAM = (sys.executable,)
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests themselves run in the background
 root = Path(sys.argv[2])
 script = f"import os, time; open({str(root / 'pid')!r}, 'w').write(str(os.getpid())); time.sleep(60)"
 runner.make_plan = lambda config, out, root: [test_runner.job(out, "long", script=script)]
@@ -223,11 +224,14 @@ except KeyboardInterrupt:
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_no_child_outlives_the_runner(sign: signal.Signals, tmp_path: Path) -> None:
     words = [sys.executable, "-c", RUNNER, str(Path(__file__).parent), str(tmp_path)]
-    process = subprocess.Popen(words, stderr=subprocess.PIPE)
-    pid = _wait_for(tmp_path / "pid")
-    assert is_alive(pid)
-    process.send_signal(sign)
-    _, error = process.communicate(timeout=20)
+    with subprocess.Popen(words, stderr=subprocess.PIPE) as process:
+        try:
+            pid = _wait_for(tmp_path / "pid")
+            assert is_alive(pid)
+            process.send_signal(sign)
+            _, error = process.communicate(timeout=60)
+        finally:
+            process.kill()
     assert process.returncode == (-sign if sign == signal.SIGKILL else 130), error.decode()
     until = time.monotonic() + 5
     while is_alive(pid):

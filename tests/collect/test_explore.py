@@ -57,7 +57,7 @@ def summary(made: Path) -> dict[str, Any]:
 def test_the_budget_is_spent_and_logged(made: Path, logs: list[Log]) -> None:
     assert [log.n_steps for log in logs] == [200, 200]
     assert artefacts.lineage(made).facts == {
-        "task": "sandbox", "extrinsic_reward": False, "steps": 400,
+        "task": "sandbox", "extrinsic_reward": False, "explorer": "curl+ride", "steps": 400,
         "puzzles": sorted(puzzle.digest for puzzle in logs[0].puzzles),
     }  # fmt: skip
     assert {path.name for path in made.iterdir()} == {
