@@ -61,18 +61,18 @@ def test_no_change_is_no_impact(images: Tensor) -> None:
 
 def test_counted_ride_is_less_where_the_stream_was_before_and_forgets_when_it_leaves(images: Tensor) -> None:
     a, b = images[0], images[1]
-    play = torch.stack([a, b, a, b, a])  # in both worlds, back and forth
+    play = torch.stack([a, b, b, a, b])  # in both worlds: what a step leads to is counted, not where it began
     actions = torch.zeros(4, 2, dtype=torch.int64)
     plain = Ride(Known())(play, actions)[..., 0].numpy()
     ride = CountedRide(Known(), 2)
     found = ride(play, actions)[..., 0].numpy()
-    np.testing.assert_allclose(found, plain / np.sqrt([[1, 1], [1, 1], [2, 2], [2, 2]]), rtol=1e-6)
+    np.testing.assert_allclose(found, plain / np.sqrt([[1, 1], [2, 2], [1, 1], [3, 3]]), rtol=1e-6)
     ride.entered(1)
     other = CountedRide(Known(), 2)
     other.load_tensors(ride.tensors())
     for one in (ride, other):
         again = one(play, actions)[..., 0].numpy()
-        np.testing.assert_allclose(again, plain / np.sqrt([[3, 1], [3, 1], [4, 2], [4, 2]]), rtol=1e-6)
+        np.testing.assert_allclose(again, plain / np.sqrt([[4, 1], [5, 2], [2, 1], [6, 3]]), rtol=1e-6)
 
 
 def test_a_cell_is_the_table_seen_coarsely() -> None:

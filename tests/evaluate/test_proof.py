@@ -132,6 +132,11 @@ def test_an_explorers_own_encoder_is_proven_from_its_log(tmp_path: Path) -> None
     assert [link.split()[0] for link in proof.chain] == ["policy", "log"]
 
 
+def test_a_log_without_an_encoder_is_nothing_to_start_from(tmp_path: Path) -> None:
+    bare = artefact(tmp_path / "log", "log", [], CLEAN, ("stream-000-000.mcap", "summary.json"))
+    assert_missing(prove(policy_of(tmp_path / "policy", bare)), "the log that it started from holds no encoder")
+
+
 def test_without_an_encoder_there_is_nothing_to_prove(tmp_path: Path) -> None:
     assert task_free_proof(None).verdict == "no encoder"
     proof = prove(policy_of(tmp_path / "policy", None))

@@ -204,6 +204,18 @@ def test_rollout_is_what_the_environments_did(tmp_path: Path) -> None:
                 image, _ = env.reset()
 
 
+def test_what_a_rollout_goes_on_with_is_seen_after_its_last_step(tmp_path: Path) -> None:
+    trainer = _Trainer(msgspec.structs.replace(TINY, ppo=PPOConfig(precision="fp32")), None, tmp_path / "none")
+    with torch.no_grad():
+        trainer.agent.actor.bias[0] = -100.0  # nothing stands still
+    with bar("test", 1) as shown:
+        rollout, _ = trainer.collect(shown)
+    with torch.no_grad():
+        after = trainer.agent.get_value(trainer.agent.encoder.prepare(torch.from_numpy(trainer.tables.seen)))
+    torch.testing.assert_close(rollout.next_values[-1], after)
+    assert not torch.isclose(rollout.values[-1], after).any()
+
+
 def random_play(tables: Tables, steps: int) -> list[object]:
     rng, seen = np.random.default_rng(0), []
     for _ in range(steps):
