@@ -4,17 +4,12 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from gym_open.config import Config, PositiveInt, Seed, matching
+from gym_open.agents.config import AgentName
+from gym_open.config import Config, PositiveInt, Seed
 
 TaskName = Literal["goal-seeking", "preferences", "avoidance", "tool-use"]
-AgentName = Annotated[
-    str,
-    matching(r"^[a-z0-9][a-z0-9+_-]{0,47}$", "a name of small letters, digits, +, _ and -, at most 48"),
-]
 File = Annotated[str, Meta(min_length=1)]
 """A configuration file of the workspace."""
-RESERVED = ("random", "oracle", "human")
-"""Rows of every table that are no agents of a configuration."""
 
 
 class AgentConfig(Config, frozen=True, kw_only=True):
@@ -68,6 +63,8 @@ class BenchmarkConfig(Config, frozen=True, kw_only=True):
     """Rows of the table."""
     collect_steps: PositiveInt | None = None
     """Steps of every play."""
+    collect_pool: PositiveInt | None = None
+    """Worlds of every play: a longer one needs more, or it ends when all are learned."""
     encoder_updates: PositiveInt | None = None
     """Gradient steps of every encoder that is trained from a release."""
     policy_steps: PositiveInt | None = None
@@ -84,6 +81,3 @@ class BenchmarkConfig(Config, frozen=True, kw_only=True):
         for field, values in lists.items():
             if twice := [value for i, value in enumerate(values) if value in values[:i]]:
                 raise ValueError(f"`{field}`: {twice[0]!r} is there twice; leave one out or rename it")
-        for name in lists["agents"]:
-            if name in RESERVED:
-                raise ValueError(f"`agents`: {name!r} is always a row of its own; give the agent another name")

@@ -138,7 +138,8 @@ class _Planner:
         """Exploration, without a task."""
         assert agent.collect is not None
         steps = agent.collect_steps or self.config.collect_steps
-        config = self.read("collect", agent.collect, CollectConfig, steps=steps, seed=seed, threads=1)
+        pool = self.config.collect_pool
+        config = self.read("collect", agent.collect, CollectConfig, steps=steps, pool=pool, seed=seed, threads=1)
         name = f"{Path(agent.collect).stem}{f'-{agent.collect_steps}' if agent.collect_steps else ''}-seed{seed}"
         out = self.out / "collect/logs" / name
         return self.add(Job(f"collect-{name}", "collect", out, config, config.steps))

@@ -106,9 +106,11 @@ def test_only_policies_take_their_likeliest_actions(tmp_path: Path) -> None:
 def test_lengths_are_replaced() -> None:
     long = {**ONLINE, "name": "long", "collect_steps": 999}
     jobs = plan(
-        agents=[OFFLINE, long], collect_steps=11, encoder_updates=22, policy_steps=9000, checkpoints=[4096, 5000]
-    )
-    assert {job.units for job in jobs.values() if job.stage == "collect"} == {11, 999}
+        agents=[OFFLINE, long], collect_steps=11, collect_pool=7, encoder_updates=22, policy_steps=9000,
+        checkpoints=[4096, 5000],
+    )  # fmt: skip
+    plays = [job.config for job in jobs.values() if isinstance(job.config, CollectConfig)]
+    assert {(play.steps, play.pool) for play in plays} == {(11, 7), (999, 7)}
     assert {job.units for job in jobs.values() if job.stage == "train encoder"} == {22}
     policies = [job.config for job in jobs.values() if isinstance(job.config, PolicyTrainConfig)]
     assert {(policy.steps, policy.checkpoints) for policy in policies} == {(9000, (4096, 5000))}
