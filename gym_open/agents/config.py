@@ -1,14 +1,22 @@
 """Configurations of the agents' parts; no torch here, so that `gym-open --help` answers at once."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from gym_open.config import Config, Count, Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
+from gym_open.config import Config, Count, Fraction, NonNegativeFloat, PositiveFloat, PositiveInt, matching
 
 Precision = Literal["fp32", "bf16"]
 Device = Literal["cpu", "cuda"]
 Architecture = Literal["cnn", "impala", "state"]
 WorldModelName = Literal["none", "icm", "rnd", "curl"]
 RewardName = Literal["none", "error", "ride", "counted-ride"]
+_NAME = r"(?!(?:random|oracle|human)\Z)[a-z0-9][a-z0-9+_-]{0,47}\Z"
+_NAME_IN_WORDS = (
+    "a name of small letters, digits, +, _ and -, at most 48, and none of random, oracle and human, which are always "
+    "rows of their own"
+)
+AgentName = Annotated[str, matching(f"^{_NAME}", _NAME_IN_WORDS)]
+"""Row of a table, and part of folders' names."""
+AgentNameOrNone = Annotated[str, matching(rf"^(?:\Z|{_NAME})", f"nothing, or {_NAME_IN_WORDS}")]
 
 
 class EncoderConfig(Config, frozen=True, kw_only=True):

@@ -2,7 +2,16 @@
 
 from typing import Literal
 
-from gym_open.agents.config import CurlConfig, Device, EncoderConfig, IcmConfig, PPOConfig, Precision, RndConfig
+from gym_open.agents.config import (
+    AgentNameOrNone,
+    CurlConfig,
+    Device,
+    EncoderConfig,
+    IcmConfig,
+    PPOConfig,
+    Precision,
+    RndConfig,
+)
 from gym_open.config import Config, Count, PositiveFloat, PositiveInt, Seed
 
 
@@ -61,8 +70,8 @@ class PolicyTrainConfig(Config, frozen=True, kw_only=True):
     """From scratch, the pictures of so many puzzles make the mean picture; an encoder brings its own."""
     checkpoints: tuple[PositiveInt, ...] = (200_000, 500_000, 1_000_000)
     """The policy is kept as it is after so many steps, too, up to whole rollouts: the paper scores these."""
-    agent: str = ""
-    """What tables and reports call it; if empty, the explorer that the encoder comes from, or `scratch`."""
+    agent: AgentNameOrNone = ""
+    """What tables and reports call it; if empty, how it began: `scratch`, `curl+ride`, `curl+ride off-line curl`."""
     encoder: EncoderConfig = EncoderConfig()
     """The network; must be that of the encoder that training starts from, if any."""
     transfer: Transfer = "scaled"
