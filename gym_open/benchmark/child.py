@@ -1,6 +1,7 @@
 """A job as a process of its own, which ends when the runner ends."""
 
 import ctypes
+import itertools
 import os
 import re
 import shlex
@@ -74,10 +75,19 @@ class Child:
             return f"ended by {signal.Signals(-code).name}"
         with self.log.open("rb") as file:
             file.seek(max(self.log.stat().st_size - _TAIL, 0))
-            lines = [line.strip("│ ") for line in file.read().decode(errors="replace").splitlines()]
-        told = [line for line in lines if re.search(r"\w", line)]
+            lines = file.read().decode(errors="replace").splitlines()
+        lines = lines[max((i for i, line in enumerate(lines) if line.startswith("$ ")), default=0) :]  # of this attempt
+        told = [line.strip("│ ") for line in lines if re.search(r"\w", line)]
         errors = [line.removeprefix("error: ") for line in told if line.startswith("error: ")]
-        return (errors or told)[-1]  # the command itself is always there
+        return (errors or _boxed(lines) or told)[-1]  # the command itself is always there
+
+
+def _boxed(lines: list[str]) -> list[str]:
+    """What was wrong with a command's options: tyro draws a box, with advice under a rule."""
+    top = max((i for i, line in enumerate(lines) if line.startswith("╭")), default=len(lines))
+    inside = [line.strip("│ ") for line in lines[top + 1 :]]
+    first = list(itertools.takewhile(lambda line: re.search(r"\w", line), inside))
+    return [" ".join(first)] if first else []
 
 
 def alone(job: Job, folder: Path) -> str:

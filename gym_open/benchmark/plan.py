@@ -112,7 +112,7 @@ class _Planner:
     """Collects the jobs, each once."""
 
     def __init__(self, config: BenchmarkConfig, out: Path, root: Path) -> None:
-        self.config, self.out, self.root = config, out, root
+        self.config, self.out, self.root = config, out.absolute(), root  # as an option, a path must not begin with -
         self.jobs: dict[str, Job] = {}
         self.evaluation = self.read("evaluate", config.evaluate, EvaluateConfig, threads=1)
 

@@ -174,9 +174,10 @@ def run_benchmark(config: BenchmarkConfig, out: Path, *, root: Path, jobs: int |
     width = len(os.sched_getaffinity(0)) if jobs is None else jobs
     if width < 1:
         raise UsageError(f"--jobs: expected 1 or more, got {jobs}")
+    out = out.absolute()
     plan = make_plan(config, out, root=root)
-    out.absolute().parent.mkdir(parents=True, exist_ok=True)
-    with lock(out.absolute()):
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with lock(out):
         runner = Runner(plan, out / "jobs", width)
         with _interruptible(), Screen(console) as screen:
             runner.run(screen)

@@ -9,9 +9,10 @@ What no record can show is who wrote them: see `Proof.rests_on`.
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
+from msgspec import Meta
 
 from gym_open.artefacts import LINEAGE, Parent, code_version
 from gym_open.envs.puzzles.sets import reserved_digests
@@ -59,7 +60,8 @@ class PolicyFacts(msgspec.Struct, frozen=True):
 
     task: str
     steps: int
-    agent: str
+    agent: Annotated[str, Meta(pattern=r"^(?!(random|oracle|human)\Z)")]
+    """No name of what is no policy."""
     seed: int
     encoder: Literal["none", "offline", "online"]
     from_encoder: bool

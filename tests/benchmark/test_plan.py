@@ -83,6 +83,13 @@ def test_what_two_agents_share_is_made_once() -> None:
     assert jobs["score-online-goal-seeking-seed0-at200000"].needs == (jobs["policy-online-goal-seeking-seed0"],)
 
 
+def test_no_path_of_a_command_is_taken_for_an_option() -> None:
+    jobs = plan(Path("-x"), probe="train/probe.toml")
+    words = {word for job in jobs.values() for word in job.words(Path("/jobs"))}
+    assert {word for word in words if "-x" in word and not word.startswith(str(Path.cwd()))} == set()
+    assert str(Path("-x").absolute() / "collect/logs/curl-ride-seed0") in words
+
+
 def test_one_play_for_all_seeds_or_one_for_each() -> None:
     own = plan(seeds=[3, 4], agents=[OFFLINE])
     shared = plan(seeds=[3, 4], agents=[{**OFFLINE, "play_seed": 7}])
@@ -136,7 +143,7 @@ def test_every_task_is_scored_on_its_own_puzzles() -> None:
         ({"agents": [{**SCRATCH, "play_seed": 1}]}, "`play_seed`"),
         ({"agents": [SCRATCH, SCRATCH]}, "'scratch' is there twice"),
         ({"seeds": [1, 0, 0]}, "0 is there twice"),
-        ({"agents": [{**SCRATCH, "name": "human"}]}, "'human'"),
+        ({"agents": [{**SCRATCH, "name": "human"}]}, "none of random, oracle and human"),
         ({"agents": [{**SCRATCH, "name": "../up"}]}, "agents.0.name"),
         ({"agents": [{**SCRATCH, "polcy": "x"}]}, "did you mean `policy`?"),
         ({"tasks": []}, "tasks"),

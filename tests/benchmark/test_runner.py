@@ -36,6 +36,16 @@ if not (out / "manifest.json").exists():
     (out / "manifest.json").write_text(f"{begun} {time.monotonic_ns()}")
 """
 FAIL = "import sys; print('so far so good'); print('error: \\x1b[31mno such thing', file=sys.stderr); sys.exit(1)"
+BOX = """
+import sys
+print('''╭─ Unrecognized options ─────────────╮
+│ Unrecognized options: --polcy, a   │
+│ path that goes on                  │
+│ ────────────────────────────────── │
+│ For full helptext, run --help      │
+╰────────────────────────────────────╯''')
+sys.exit(2)
+"""
 TRACEBACK = "raise RuntimeError('broken')"
 
 
@@ -118,6 +128,13 @@ def test_a_failure_stops_only_what_needs_it(tmp_path: Path) -> None:
     assert r"\x1b[31mno such thing" in said
     assert "\x1b" not in said
     assert "so far so good" in (tmp_path / "jobs/bad.log").read_text()
+
+
+def test_options_that_are_refused_are_the_reason_and_not_an_earlier_failure(tmp_path: Path) -> None:
+    made, _ = run(tmp_path, [job(tmp_path, "bad", script=FAIL)])
+    assert made.runs["bad"].reason.endswith("no such thing")
+    made, _ = run(tmp_path, [job(tmp_path, "bad", script=BOX)])
+    assert made.runs["bad"].reason == "Unrecognized options: --polcy, a path that goes on"
 
 
 def test_what_is_there_is_up_to_date_and_failures_are_tried_again(tmp_path: Path) -> None:
