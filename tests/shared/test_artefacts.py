@@ -382,20 +382,6 @@ def test_where_nothing_can_be_written_is_said_before_any_work(tmp_path: Path) ->
     assert (tmp_path / "file").read_text() == "mine"
 
 
-def test_where_nothing_can_be_written_is_said_before_any_work(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("mine")
-
-    def build(out: Path) -> None:
-        artefacts.build(out, kind="toy", config=Toy(), parents=(), work=lambda _: pytest.fail("work was begun"))
-
-    for out in (tmp_path / "file/a", tmp_path / "file/deep/a"):
-        with pytest.raises(UsageError, match=rf"{out}: cannot be made: {tmp_path}/file is not a folder .*other --out"):
-            build(out)
-    with pytest.raises(UsageError, match=r"/proc/a: cannot be made: nothing new can be made in /proc .*other --out"):
-        build(Path("/proc/a"))
-    assert (tmp_path / "file").read_text() == "mine"
-
-
 def test_two_writers_of_the_same_artefact_are_refused(tmp_path: Path) -> None:
     with (tmp_path / ".a.lock").open("w") as held:  # a lock belongs to an open file: this stands for another process
         fcntl.flock(held, fcntl.LOCK_EX)
