@@ -93,7 +93,7 @@ def _facts(config: PolicyTrainConfig, encoder: Path | None, trainer: "_Trainer")
         "task": config.task,
         "steps": trainer.step,
         "checkpoints": trainer.checkpoints,
-        "agent": config.agent or _name(lineage),
+        "agent": config.agent or _name(config, lineage),
         "encoder": kinds[None if lineage is None else lineage.kind],
         "transfer": None if encoder is None else config.transfer,
         "frozen": config.frozen,
@@ -103,10 +103,27 @@ def _facts(config: PolicyTrainConfig, encoder: Path | None, trainer: "_Trainer")
     }
 
 
-def _name(lineage: artefacts.Lineage | None) -> str:
-    """What an agent is called that was not given a name: its explorers, or how it began."""
-    explorers = set() if lineage is None else _explorers(lineage)
-    return " & ".join(sorted(explorers)) or ("scratch" if lineage is None else "unknown play")
+def _name(config: PolicyTrainConfig, lineage: artefacts.Lineage | None) -> str:
+    """What an agent is called that was not given a name: how it began, and what is not as it is by default.
+
+    From scratch `scratch` or `state`, by what it sees; from an explorer's own encoder the explorer's name, `curl+ride`;
+    from one trained off-line `curl+ride off-line curl`.
+    """
+    architecture = config.encoder.architecture
+    if lineage is None:
+        start = "state" if architecture == "state" else "scratch"
+    else:
+        start = " & ".join(sorted(_explorers(lineage))) or "unknown play"
+    if lineage is not None and lineage.kind == "encoder":
+        start += f" off-line {lineage.facts.get('world_model', 'encoder')}"
+    parts = [start]
+    if architecture == "impala":
+        parts.append(architecture)
+    if lineage is not None and config.transfer != "scaled":
+        parts.append(f"transfer {config.transfer}")
+    if config.frozen:
+        parts.append("frozen")
+    return ", ".join(parts)
 
 
 def _explorers(lineage: artefacts.Lineage) -> set[str]:

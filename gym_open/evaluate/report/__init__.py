@@ -10,33 +10,44 @@ from gym_open import artefacts
 from gym_open.config import check, to_dict
 from gym_open.evaluate.config import ReportConfig
 from gym_open.evaluate.report.gather import Run, Sources, gather, one_line
+from gym_open.evaluate.report.treatment import check_treatments, unchecked
 
 __all__ = ["ReportConfig", "write_report"]
+
+
+class _Inputs(ReportConfig, frozen=True, kw_only=True):
+    """What decides a report besides its scores."""
+
+    configurations: tuple[str, ...]
+    """SHA-256 of those that were found: the page shows them."""
 
 
 def write_report(config: ReportConfig, sources: Sequence[Path], out: Path) -> artefacts.Outcome:
     """Put all scores below some folders together: an artefact of kind `report`.
 
     Payload: `report.html` (one file, no script, nothing fetched), `report.md`, `figures/*.svg`, and `table.json`, which
-    holds every number of the page. Equal scores give equal bytes, wherever they lie.
+    holds every number of the page. Equal scores and configurations give equal bytes, wherever they lie.
 
     Args:
         config: title, split, reference, intervals.
-        sources: folders with scores at any depth; probes below them are shown, and policies, encoders, releases and
-            logs below them tell their configurations.
+        sources: folders with scores at any depth; probes below them are shown. Configurations are taken from the
+            policies, encoders, releases and logs below them, and in the workspace that they lie in.
         out: folder of the report.
 
     Raises:
         UsageError: if a source is no folder, or there are no scores of the split.
-        ArtefactError: if an artefact is damaged, contradicts itself, or is there twice.
+        ArtefactError: if an artefact is damaged, contradicts itself, or is there twice, or runs of one agent were made
+            in different ways.
     """
     config = check(config, source="options")
     found = gather(sources, config.split)
+    check_treatments(found.runs, found.configs)
+    inputs = _Inputs(**to_dict(config), configurations=tuple(sorted(found.configs)))
 
     def work(folder: Path) -> Mapping[str, Any]:
         return _write(folder, config, found)
 
-    return artefacts.build(out, kind="report", config=config, parents=found.folders, work=work)
+    return artefacts.build(out, kind="report", config=inputs, parents=found.folders, work=work)
 
 
 def _write(folder: Path, config: ReportConfig, found: Sources) -> Mapping[str, Any]:
@@ -53,7 +64,7 @@ def _write(folder: Path, config: ReportConfig, found: Sources) -> Mapping[str, A
         config=to_dict(config),
         results=results,
         findings=list(notes.findings(results)),
-        notes=list(notes.notes(results, found.runs, proven, found.left_out)),
+        notes=list(notes.notes(results, found.runs, proven, unchecked(found.runs, found.configs))) + found.left_out,
         proofs=proven,
         probes=probed(found.probes, found.runs),
         settings=settings,

@@ -1,9 +1,11 @@
 """Scores, probes and configurations found below some folders, checked byte by byte before anything is believed."""
 
 import functools
+import itertools
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -114,7 +116,7 @@ class Sources:
     runs: list[Run]
     probes: list[Probe]
     configs: dict[str, dict[str, Any]]
-    """Configurations by SHA-256 of their file: lineages name them so."""
+    """Those that the lineages of `runs` name, by SHA-256 of their file, as far as they were found."""
     folders: list[Path]
     """Of the scores and probes, in the order of `runs` and `probes`."""
     left_out: list[str]
@@ -159,7 +161,7 @@ def gather(sources: Sequence[Path], split: Split) -> Sources:
     return Sources(
         runs=kept,
         probes=[probe for _, probe in ordered],
-        configs={sha256_file(folder / CONFIG): artefacts.config_of(folder) for folder in found},
+        configs=_configs(kept, itertools.chain(found, _beside(sources))),
         folders=[run.folder for run in kept] + [folder for folder, _ in ordered],
         left_out=left_out,
     )
@@ -173,6 +175,37 @@ def _artefacts(source: Path) -> Iterator[Path]:
         below[:] = [] if MANIFEST in files else sorted(name for name in below if not name.startswith("."))
         if MANIFEST in files and CONFIG in files:
             yield Path(folder).resolve()
+
+
+def _configs(runs: Sequence[Run], folders: Iterable[Path]) -> dict[str, dict[str, Any]]:
+    """Of `folders`, the configurations behind the runs; they are known by their bytes, wherever they lie."""
+    wanted = {run.config_sha256 for run in runs}.union(*(_named(run.lineage) for run in runs))
+    configs: dict[str, dict[str, Any]] = {}
+    for folder in folders:
+        if wanted <= configs.keys():
+            break
+        with suppress(OSError):  # set aside by another process just now
+            sha256 = sha256_file(folder / CONFIG)
+            if sha256 in wanted and sha256 not in configs:
+                configs[sha256] = artefacts.config_of(folder)
+    return configs
+
+
+def _named(lineage: Lineage) -> Iterator[str]:
+    for parent in lineage.parents:
+        if CONFIG in parent.manifest:
+            yield parent.manifest[CONFIG].sha256
+        yield from _named(parent.lineage)
+
+
+def _beside(sources: Sequence[Path]) -> Iterator[Path]:
+    """Artefacts in the other stage folders of the workspaces that the sources lie in."""
+    for source in sources:
+        above = (source.resolve(), *source.resolve().parents)
+        root = next((folder.parent for folder in above if folder.name == "evaluate"), None)
+        for stage in ("train", "datasets", "collect"):
+            if root is not None and (root / stage).is_dir():
+                yield from _artefacts(root / stage)
 
 
 def _run(folder: Path) -> Run:
@@ -255,16 +288,17 @@ def _decode(path: Path, kind: Any) -> Any:
 def _without_set_aside(runs: list[Run]) -> tuple[list[Run], int]:
     kept, aside = dict[tuple[str, str, str, int], Run](), 0
     for run in sorted(runs, key=lambda run: (len(run.folder.name), str(run.folder))):
-        first = kept.setdefault(run.identity, run)
-        if first is run or _is_same(run, first):
+        if any(_is_set_aside(run, newer) for newer in kept.values()):
+            aside += 1
             continue
-        if not _is_set_aside(run.folder, first.folder):
+        first = kept.setdefault(run.identity, run)
+        if first is not run and not _is_same(run, first):
             task, name, seed, trained = run.identity
             raise ArtefactError(
                 f"{run.folder} and {first.folder}: both are scores of {name} on {task}, seed {seed}, {trained:,} steps"
-                "; give folders that hold only one of them"
+                "; give folders that hold only one of them, or, if they are different agents, train them with names of "
+                "their own (`gym-open train policy --agent NAME`)"
             )
-        aside += 1
     return list(kept.values()), aside
 
 
@@ -273,5 +307,9 @@ def _is_same(run: Run, first: Run) -> bool:
     return run.record.policy == first.record.policy and np.array_equal(run.returns, first.returns)
 
 
-def _is_set_aside(folder: Path, newer: Path) -> bool:
-    return folder.parent == newer.parent and re.fullmatch(re.escape(newer.name) + r"-\d+", folder.name) is not None
+def _is_set_aside(run: Run, newer: Run) -> bool:
+    """Whether `newer` took the place of `run`, which has another name since: of a policy of other length, perhaps."""
+    alike = run.identity[:3] == newer.identity[:3] and not _is_same(run, newer)
+    other = run.trained == newer.trained or run.record.policy != newer.record.policy
+    name, beside = run.folder.name, run.folder.parent == newer.folder.parent
+    return alike and other and beside and re.fullmatch(re.escape(newer.folder.name) + r"-\d+", name) is not None

@@ -38,12 +38,12 @@ def _gains(trained: Sequence[Cell], reference: str | None) -> str:
         return ""
     firm = [f"{agent} {signed(gain)}" for agent, gain in compared if (gain.low or 0) > 0 or (gain.high or 0) < 0]
     if not firm:
-        return f" None is told apart from {reference}: every interval of a difference holds 0."
+        return f" No agent trained on pictures is told apart from {reference}: every interval of a difference holds 0."
     return f" Told apart from {reference}: {', '.join(firm)}."
 
 
-def notes(results: Results, runs: Sequence[Run], proven: Sequence[Proven], left_out: Sequence[str]) -> Iterator[str]:
-    """Everything that weakens what the tables say."""
+def notes(results: Results, runs: Sequence[Run], proven: Sequence[Proven], unchecked: Sequence[str]) -> Iterator[str]:
+    """Everything that weakens what the tables say; `unchecked` are agents whose configurations were not all seen."""
     yield from _on_runs(results)
     yield from _on_comparisons(results)
     yield from _on_proofs(proven)
@@ -53,7 +53,11 @@ def notes(results: Results, runs: Sequence[Run], proven: Sequence[Proven], left_
             "The paper's numbers come from its own simulator, another implementation of the same tasks, after "
             f"{PAPER_STEPS:,} steps; it does not say of what kind its ± is. Compare orders and gaps rather than digits."
         )
-    yield from left_out
+    if unchecked:
+        yield (
+            f"Whether the runs of {', '.join(unchecked)} differ in seeds alone could not be checked in full: some of "
+            "their configurations are not at hand."
+        )
     yield from results.left_behind
 
 

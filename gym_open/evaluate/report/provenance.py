@@ -119,6 +119,11 @@ class _Link(msgspec.Struct, frozen=True):
             return None
         return canonical_json({key: value for key, value in self.config.items() if key not in _VARIES})
 
+    @property
+    def file(self) -> tuple[str, bytes | str]:
+        """What links of one configuration file have in common; of one that is not at hand, all of an agent's."""
+        return self.kind, self.shared or f"{self.run.name}: {self.place}"
+
     def walk(self) -> Iterator["_Link"]:
         """Inputs first."""
         for parent in self.parents:
@@ -141,20 +146,7 @@ def recipes(
         for run in sorted(runs, key=lambda run: agents.index(run.name))
         if run.record.agent not in ("human", "oracle")
     ]
-    links = [link for chain in chains for link in chain.walk()]
-    named: dict[tuple[str, bytes | str], Setting] = {}
-    for link in links:
-        key = (link.kind, link.shared or link.sha256)
-        if key not in named:
-            number = sum(kind == link.kind for kind, _ in named) + 1
-            named[key] = Setting(
-                name=f"{_STAGES.get(link.kind, 'evaluate')}-{number}.toml", kind=link.kind, agents=[],
-                toml=None if link.config is None else _toml(link.config), sha256=[],
-            )  # fmt: skip
-        setting = named[key]
-        for values, value in ((setting.agents, link.run.name), (setting.sha256, link.sha256)):
-            if value not in values:
-                values.append(value)
+    named = _settings([link for chain in chains for link in chain.walk()])
     recipes = []
     for agent in agents:
         own = [run for run in runs if run.name == agent]
@@ -168,6 +160,23 @@ def recipes(
             )
         )
     return list(named.values()), recipes
+
+
+def _settings(links: Sequence[_Link]) -> dict[tuple[str, bytes | str], Setting]:
+    """Configuration files, numbered by kind."""
+    named: dict[tuple[str, bytes | str], Setting] = {}
+    for link in links:
+        if link.file not in named:
+            number = sum(kind == link.kind for kind, _ in named) + 1
+            named[link.file] = Setting(
+                name=f"{_STAGES.get(link.kind, 'evaluate')}-{number}.toml", kind=link.kind, agents=[],
+                toml=None if link.config is None else _toml(link.config), sha256=[],
+            )  # fmt: skip
+        setting = named[link.file]
+        for values, value in ((setting.agents, link.run.name), (setting.sha256, link.sha256)):
+            if value not in values:
+                values.append(value)
+    return named
 
 
 def _chain(run: Run, configs: Mapping[str, dict[str, Any]]) -> _Link:
@@ -184,24 +193,30 @@ def _chain(run: Run, configs: Mapping[str, dict[str, Any]]) -> _Link:
 
 
 def _commands(run: Run, heads: Sequence[_Link], named: Mapping[tuple[str, bytes | str], Setting]) -> list[str]:
-    """Of one run, with `$TASK` and `$SEED` for what varies; runs of an agent differ in nothing else."""
+    """Of all runs, with `$TASK` and `$SEED` for what varies. A line that is not for all of them says for which."""
     if run.record.agent == "oracle":
         return [f"gym-open evaluate --task $TASK --split {run.record.split} --oracle --out scores"]
     if run.record.agent == "human":
         return [f"gym-open play --task $TASK --split {run.record.split} --player $SEED --out scores"]
+    links = [link for head in heads for link in head.walk()]
     follows: dict[str, bool] = {}
-    for head in heads:
-        for link in head.walk():
-            same = link.config is None or link.config.get("seed", head.run.seed) == head.run.seed
-            follows[link.place] = follows.get(link.place, True) and same
     names: dict[str, str] = {}
-    lines = []
-    for link in heads[0].walk():
+    for link in links:
+        same = link.config is None or link.config.get("seed", link.run.seed) == link.run.seed
+        follows[link.place] = follows.get(link.place, True) and same
         if link.place not in names:
             names[link.place] = f"{link.kind}{'' if link.kind not in names.values() else f'-{len(names)}'}"
-            setting = named[link.kind, link.shared or link.sha256]
-            lines.append(_command(link, setting.name, names, follows=follows[link.place]))
-    return lines
+    serves: dict[tuple[str, str], dict[str, None]] = {}
+    for link in links:
+        line = _command(link, named[link.file].name, names, follows=follows[link.place])
+        serves.setdefault((link.place, line), {})[f"{link.run.record.task}, seed {link.run.seed}"] = None
+    everyone = {run for served in serves.values() for run in served}
+    return [
+        line if served.keys() == everyone else f"{line}  # {'; '.join(served)}"
+        for place in names
+        for (where, line), served in serves.items()
+        if where == place
+    ]
 
 
 def _command(link: _Link, file: str, names: Mapping[str, str], *, follows: bool) -> str:
@@ -220,12 +235,15 @@ def _command(link: _Link, file: str, names: Mapping[str, str], *, follows: bool)
             words = f"train policy --encoder {every}" if every else "train policy"
         case _:
             words = f"evaluate --policy {every}" if every else "evaluate"
-    config = link.config or {}
+    # of a policy, the lineage tells what a configuration that is not at hand must have said
+    own = {"task": None, "seed": None, "agent": link.run.record.agent} if link.kind == "policy" else {}
+    config = own if link.config is None else link.config
     task = " --task $TASK" if "task" in config else ""
     agent = f" --agent {shlex.quote(one_line(str(config['agent'])))}" if config.get("agent") else ""
     seed = "" if "seed" not in config else " --seed $SEED" if follows else f" --seed {config['seed']}"
     at = f" --at {config['at']}" if "at" in config else ""
-    return f"gym-open {words} --config {file}{task}{agent}{seed}{at} --out {names[link.place]}"
+    name = f"{names[link.place]}-at{config['at']}" if at else names[link.place]
+    return f"gym-open {words} --config {file}{task}{agent}{seed}{at} --out {name}"
 
 
 def _toml(config: Mapping[str, Any]) -> str:

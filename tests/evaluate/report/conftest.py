@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -26,6 +27,15 @@ class Made(Config, frozen=True):
     seed: int = 0
     task: str = ""
     agent: str = ""
+    threads: int = 1
+    checkpoints: tuple[int, ...] = ()
+    ppo: dict[str, float] = msgspec.field(default_factory=lambda: {"lr": 0.01})
+
+
+class MadeAt(Made, frozen=True, kw_only=True):
+    """Of scores at a checkpoint."""
+
+    at: int
 
 
 def artefact(
@@ -49,8 +59,16 @@ def make_policy(
     *,
     log_task: str = "sandbox",
     name: str = "",
+    changes: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Path:
-    """A policy with records as `gym-open` writes them; of an agent with a `+` in its name the whole chain to a log."""
+    """A policy with records as `gym-open` writes them; of an agent with a `+` in its name the whole chain to a log.
+
+    `changes` are of the facts of the policy (`facts`), or of the configuration of an artefact, by its kind.
+    """
+
+    def config(kind: str, **usual: Any) -> Made:
+        return Made(**{**usual, **(changes or {}).get(kind, {})})
+
     parents = []
     if "+" in agent:
         facts = {"task": log_task, "extrinsic_reward": False, "puzzles": ["0" * 64]}
@@ -59,7 +77,7 @@ def make_policy(
             "log",
             [],
             facts,
-            Made(name=agent, seed=seed),
+            config("log", name=agent, seed=seed),
             "stream-000-000.mcap",
             "summary.json",
         )
@@ -68,21 +86,21 @@ def make_policy(
             "release",
             [log],
             {"logs": [artefacts.digest(log)]},
-            Made(name=agent),
+            config("release", name=agent),
             "meta/info.json",
         )
         model = ("model.safetensors", "model.json")
-        parents = [
-            artefact(root / agent / f"encoder-{seed}", "encoder", [release], {}, Made(name=agent, seed=seed), *model)
-        ]
+        taught = config("encoder", name=agent, seed=seed)
+        parents = [artefact(root / agent / f"encoder-{seed}", "encoder", [release], {}, taught, *model)]
     facts = {
         "task": task, "agent": name or agent, "seed": seed, "steps": steps,
         "checkpoints": [{"asked": n, "step": n} for n in (400, 500, 200_704, 503_808)], "from_encoder": bool(parents),
         "encoder": "offline" if parents else "none", "frozen": False, "hardware": HARDWARE,
+        **(changes or {}).get("facts", {}),
     }  # fmt: skip
-    config = Made(name="ppo", seed=seed, task=task, agent=agent)
+    learner = config("policy", name="ppo", seed=seed, task=task, agent=agent)
     return artefact(
-        root / agent / f"policy-{task}-{seed}", "policy", parents, facts, config, "model.safetensors", "model.json"
+        root / agent / f"policy-{task}-{seed}", "policy", parents, facts, learner, "model.safetensors", "model.json"
     )
 
 
@@ -99,7 +117,7 @@ def episodes_of(task: str, skill: float, seed: int, puzzles: int) -> Episodes:
 def write_run(
     out: Path, *, agent: str, task: Task = "goal-seeking", seed: int | None = 0, trained: int = 0, skill: float = 0.5,
     policy: Path | None = None, actions: str = "sampled", split: Any = "test", puzzles: int = 100,
-    draw: int | None = None,
+    draw: int | None = None, at: int | None = None,
     facts: Mapping[str, Any] | None = None, change: Mapping[str, Any] | None = None,
 ) -> Path:  # fmt: skip
     """A scores artefact; `change` overwrites fields of scores.json."""
@@ -119,9 +137,8 @@ def write_run(
         write_episodes(folder, [puzzle_id(task, split, i) for i in range(puzzles)], own, drawn)
         return {"task": task, "split": split, "agent": agent, **(facts or {})}
 
-    config = Made(
-        name=f"{agent}-{trained}-{actions}-{skill}-{draw}-{sorted((change or {}).items())}", seed=seed or 0, task=task
-    )
+    values = {"name": f"{agent}-{actions}-{draw}-{sorted((change or {}).items())}", "seed": seed or 0, "task": task}
+    config = Made(**values) if at is None else MadeAt(**values, at=at)
     return artefacts.build(out, kind="scores", config=config, parents=[policy] if policy else [], work=work).path
 
 
@@ -148,7 +165,7 @@ def make_grid(
                     skill = (skills or {}).get(agent, 0.6) * (i + 1) / len(lengths)
                     write_run(
                         root / "scores" / agent / f"{task}-{seed}-{trained}", agent=agent, task=task, seed=seed,
-                        trained=trained, skill=skill, policy=policy,
+                        trained=trained, skill=skill, policy=policy, at=trained if trained < lengths[-1] else None,
                     )  # fmt: skip
         write_run(root / "scores" / f"random-{task}", agent="random", task=task, skill=0.1)
         write_run(

@@ -1,6 +1,7 @@
 """What a report refuses, leaves out, or warns of; and names, texts and records that mean harm."""
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -87,7 +88,8 @@ def test_an_unknown_reference_is_wrong_use(tmp_path: Path, make_run: Make) -> No
 def test_two_scores_of_one_run_are_an_error_unless_they_say_the_same(tmp_path: Path, make_run: Make) -> None:
     for name, draw in (("one", 1), ("other", 2)):
         make_run(tmp_path / "scores" / name, agent="random", draw=draw)
-    _refused([tmp_path / "scores"], tmp_path, ArtefactError, "one", "other", "random on goal-seeking, seed 0")
+    words = ("one", "other", "random on goal-seeking, seed 0", "gym-open train policy --agent NAME")
+    _refused([tmp_path / "scores"], tmp_path, ArtefactError, *words)
     make_run(tmp_path / "same" / "one", agent="random", draw=1, skill=0.5)
     make_run(tmp_path / "same" / "end", agent="random", draw=1, skill=0.5, change={"code": "other"})
     assert len(gather([tmp_path / "same"], "test").runs) == 1
@@ -100,6 +102,17 @@ def test_what_newer_scores_set_aside_is_left_out_and_counted(tmp_path: Path, mak
     found = gather([tmp_path], "test")
     assert [run.folder for run in found.runs] == [new]
     assert found.left_out == ["Scores that newer ones had set aside (NAME-1 beside NAME) were left out: 1."]
+
+
+def test_a_longer_training_sets_the_shorter_aside(tmp_path: Path, make_run: Make, train: Make) -> None:
+    """The same commands with more steps; a checkpoint of one policy that lies under such a name is none of these."""
+    for trained in (1000, 2000):
+        policy = train(tmp_path / f"made-{trained}", "scratch", "goal-seeking", 0, trained)
+        new = make_run(tmp_path / "s" / "a", agent="scratch", trained=trained, policy=policy)
+    early = make_run(tmp_path / "s" / "a-2", agent="scratch", trained=500, policy=policy)
+    found = gather([tmp_path / "s"], "test")
+    assert {run.folder for run in found.runs} == {new, early}
+    assert "1." in found.left_out[0]
 
 
 def test_unfinished_and_hidden_folders_are_passed_by(tmp_path: Path, make_run: Make) -> None:
@@ -187,6 +200,12 @@ def test_probes_stand_beside_the_agents_that_started_from_their_encoder(
     assert table["probes"][0]["agents"] == ["curl+ride"]
     assert table["probes"][0]["encoder"] == f"encoder {artefacts.digest(encoder)[:12]}"
     assert table["probes"][0]["rows"]["agent"]["gain"]["value"] == 0.31
+    page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8").partition('id="probes"')[2]
+    columns = re.findall(r'<th scope="col">(\w+)', page)
+    assert columns == ["target", "gain", "trained", "untrained"]  # a phone shows those on the left
+    assert "r2, guess .00" in page
+    assert '<small class="soft">[.20, .40]' in page
+    assert page.count('<small class="soft roomy">[') == 2  # what a phone leaves out
     shutil.rmtree(good)
     _probe(tmp_path / "probe", encoder, make_run, {"agent": {"r2": 0.3}})
     with pytest.raises(ArtefactError, match=r"probe\.json.*probe the encoder again"):

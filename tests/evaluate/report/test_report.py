@@ -193,12 +193,14 @@ def test_commands_and_configurations_make_it_again(report: Report) -> None:
         "gym-open train encoder --release release --task $TASK --seed $SEED",
         "gym-open train policy --encoder encoder --task $TASK --agent curl+ride --seed $SEED",
         "gym-open evaluate --policy policy --task $TASK --seed $SEED",
+        "gym-open evaluate --policy policy --task $TASK --seed $SEED --at 200704",
     ]
     assert recipes["oracle"] == ["gym-open evaluate --task $TASK --split test --oracle --out scores"]
     named = {one["name"]: one for one in report.table["settings"]}
     files = {match for lines in recipes.values() for line in lines for match in re.findall(r"--config (\S+)", line)}
-    assert files <= set(named)
-    assert named["policy-1.toml"]["toml"] == 'name = "ppo"'
+    assert files == set(named)
+    assert 'name = "ppo"' in named["policy-1.toml"]["toml"].splitlines()
+    assert not re.search("^(seed|task|agent) =", named["policy-1.toml"]["toml"], re.MULTILINE)
     assert named["policy-1.toml"]["agents"] == ["scratch", "curl+ride"]
 
 
@@ -209,7 +211,25 @@ def test_what_is_not_among_the_sources_is_said(grid: Path, tmp_path: Path) -> No
     assert {one["kind"] for one in missing} == {"log", "release", "encoder", "policy"}
     digests = {path.read_text() for path in grid.glob("made/**/manifest.json")}
     assert all(any(sha in text for text in digests) for one in missing for sha in one["sha256"])
-    assert "Not among the sources" in made.html
+    assert "Neither among the sources" in made.html
+    assert any("runs of curl+ride, scratch differ in seeds alone could not be" in note for note in made.table["notes"])
+    recipe = next(one for one in made.table["recipes"] if one["agent"] == "scratch")
+    line = "gym-open train policy --config policy-1.toml --task $TASK --agent scratch --seed $SEED --out policy"
+    assert recipe["commands"][0] == line
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_what_trained_the_agents_is_looked_up_in_the_workspace(grid: Path, tmp_path: Path) -> None:
+    shutil.copytree(grid / "scores", tmp_path / "evaluate" / "scores")
+    out = tmp_path / "evaluate" / "reports" / "first"
+    alone = Report(write_report(QUICK, [tmp_path / "evaluate" / "scores"], out).path)
+    assert any(one["toml"] is None for one in alone.table["settings"])
+    shutil.copytree(grid / "made", tmp_path / "train" / "policies")
+    (tmp_path / "train" / ".half.partial").mkdir()
+    found = write_report(QUICK, [tmp_path / "evaluate" / "scores"], out)
+    assert found.made  # it says more than the one that lay there
+    assert Report(found.path).table == Report(write_report(QUICK, [grid], tmp_path / "whole").path).table
+    assert not any(one["toml"] is None for one in Report(found.path).table["settings"])
 
 
 EVIL = "<script>alert(1)</script>|`*_$x$ \x1b[31m\u202eevil\n```\n# head"
