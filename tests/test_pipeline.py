@@ -1,5 +1,6 @@
 """The whole pipeline on a tiny run: from play to score, twice in two folders, once killed in the middle."""
 
+import io
 import json
 import os
 import shutil
@@ -14,17 +15,21 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 import pytest
+from rich.console import Console
 
 from gym_open import artefacts, workspace
 from gym_open.cli import main
+from gym_open.config import Config
 from gym_open.evaluate import a_success
+from gym_open.evaluate.config import EvaluateConfig
+from gym_open.pipeline import Journal, _learn_the_task, read_plan
 
 TINY = {
     "collect/curl-ride.toml": "steps = 768\nstreams = 2\nthreads = 1\ncheckpoint_every = 2\n",
     "train/encoder-curl.toml": "updates = 12\nreport_every = 4\nbatch_size = 32\nthreads = 1\n",
     "train/policy-goal-seeking.toml": "steps = 1536\nnum_envs = 8\nnum_steps = 64\nmean_images = 50\nthreads = 1\n",
     "train/probe.toml": "train_worlds = 60\nvalidation_worlds = 20\ntest_worlds = 30\npixels = false\nthreads = 1\n",
-    "evaluate/goal-seeking.toml": 'threads = 1\nactions = "greedy"\n',
+    "evaluate/goal-seeking.toml": "threads = 1\n",
 }
 RELEASE, SCORES = "datasets/open/explore-seed0/1.0.0", "evaluate/scores"
 
@@ -81,6 +86,28 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runs]:
     assert (alone.returncode, at_last.returncode) == (0, 0), shown + shown_at_last
     yield Runs(root, shown, killed, shown_at_last)
     shutil.rmtree(base)
+
+
+def test_policies_may_be_scored_on_their_likeliest_actions_but_random_play_has_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    workspace.init(tmp_path)
+    (tmp_path / "evaluate/goal-seeking.toml").write_text('actions = "greedy"')
+    scored = []
+
+    def stage(_config: Config, _from: Path | None, out: Path) -> artefacts.Outcome:
+        return artefacts.build(out, kind="toy", config=Config(), parents=(), work=lambda _: {})
+
+    def evaluate(config: EvaluateConfig, policy: Path | None, out: Path) -> artefacts.Outcome:
+        scored.append((policy is not None, config.actions))
+        return stage(config, policy, out)
+
+    monkeypatch.setattr("gym_open.train.probe.probe", stage)
+    monkeypatch.setattr("gym_open.train.policy.train_policy", stage)
+    monkeypatch.setattr("gym_open.evaluate.play.evaluate", evaluate)
+    journal = Journal(Console(file=io.StringIO()))
+    _learn_the_task(read_plan(tmp_path, 0), tmp_path, 0, tmp_path / "encoder", journal)
+    assert scored == [(True, "greedy"), (True, "greedy"), (False, "sampled")]
 
 
 def test_everything_that_a_run_promises_is_there(runs: Runs) -> None:
