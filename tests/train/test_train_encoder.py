@@ -14,13 +14,15 @@ import torch
 
 from gym_open import artefacts
 from gym_open.agents.config import CurlConfig, EncoderConfig, IcmConfig, RndConfig
+from gym_open.agents.curl import Curl
 from gym_open.config import load
 from gym_open.errors import ArtefactError, ConfigError, DivergedError
 from gym_open.formats.models import load_encoder
 from gym_open.formats.releases import open_release
 from gym_open.formats.windows import Pictures
 from gym_open.train.config import EncoderTrainConfig
-from gym_open.train.encoder import train_encoder
+from gym_open.train.encoder import _Trainer, train_encoder
+from gym_open.train.tensorboard import Board
 
 TINY = EncoderTrainConfig(
     updates=6, batch_size=8, report_every=4, encoder=EncoderConfig(features=16), icm=IcmConfig(hidden=8),
@@ -75,6 +77,24 @@ def test_payload_curve_and_lineage(config: EncoderTrainConfig, release: Path, tm
     assert [parent.digest for parent in record.parents] == [artefacts.digest(release)]
     facts = {"world_model": config.world_model, "updates": 6, "frames": len(open_release(release).split("train"))}
     assert facts.items() <= record.facts.items()
+
+
+def test_looking_at_held_out_steps_changes_nothing(release: Path, tmp_path: Path) -> None:
+    often, once = (
+        train_encoder(msgspec.structs.replace(TINY, report_every=n), release, tmp_path / str(n)).path for n in (1, 6)
+    )
+    assert len(curve(often)["update"]) == 6
+    assert (often / "model.safetensors").read_bytes() == (once / "model.safetensors").read_bytes()
+    assert curve(often)["held_out_loss"][-1] == curve(once)["held_out_loss"][-1]
+
+
+def test_the_network_that_makes_curls_keys_follows(release: Path, tmp_path: Path) -> None:
+    trainer = _Trainer(TINY, Pictures(open_release(release), cache=tmp_path), tmp_path / "state")
+    model = trainer.model
+    assert isinstance(model, Curl)
+    before = [parameter.clone() for parameter in model.key.parameters()]
+    trainer.run(Board(None))
+    assert all(not torch.equal(a, b) for a, b in zip(before, model.key.parameters(), strict=True))
 
 
 def test_mean_picture_is_that_of_the_training_frames(release: Path, tmp_path: Path) -> None:

@@ -91,6 +91,7 @@ def test_a_frozen_encoder_stays_and_its_features_are_what_is_learned_from(encode
     assert all(torch.equal(a, b) for a, b in zip(after.encoder.parameters(), start.parameters(), strict=True))
     untrained = _Trainer(config, encoder, tmp_path / "none").agent
     assert not torch.equal(after.actor.weight, untrained.actor.weight)
+    assert not any(parameter.requires_grad for parameter in untrained.encoder.parameters())
     assert artefacts.lineage(path).facts["frozen"] is True
     with pytest.raises(ConfigError, match="frozen: true, but there is no encoder"):
         train_policy(config, None, tmp_path / "q")
