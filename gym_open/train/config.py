@@ -71,7 +71,7 @@ class PolicyTrainConfig(Config, frozen=True, kw_only=True):
     checkpoints: tuple[PositiveInt, ...] = (200_000, 500_000, 1_000_000)
     """The policy is kept as it is after so many steps, too, up to whole rollouts: the paper scores these."""
     agent: AgentNameOrNone = ""
-    """What tables and reports call it; if empty, how it began: `scratch`, `curl+ride`, `curl+ride off-line curl`."""
+    """What tables and reports call it; if empty, how it began: `scratch`, `curl+ride`, `curl+ride-offline-curl`."""
     encoder: EncoderConfig = EncoderConfig()
     """The network; must be that of the encoder that training starts from, if any."""
     transfer: Transfer = "scaled"

@@ -107,23 +107,23 @@ def _name(config: PolicyTrainConfig, lineage: artefacts.Lineage | None) -> str:
     """What an agent is called that was not given a name: how it began, and what is not as it is by default.
 
     From scratch `scratch` or `state`, by what it sees; from an explorer's own encoder the explorer's name, `curl+ride`;
-    from one trained off-line `curl+ride off-line curl`.
+    from one trained off-line `curl+ride-offline-curl`. Such a name can be given with `--agent`, too.
     """
     architecture = config.encoder.architecture
     if lineage is None:
         start = "state" if architecture == "state" else "scratch"
     else:
-        start = " & ".join(sorted(_explorers(lineage))) or "unknown play"
+        start = "_".join(sorted(_explorers(lineage))) or "unknown-play"
     if lineage is not None and lineage.kind == "encoder":
-        start += f" off-line {lineage.facts.get('world_model', 'encoder')}"
+        start += f"-offline-{lineage.facts.get('world_model', 'encoder')}"
     parts = [start]
     if architecture == "impala":
         parts.append(architecture)
     if lineage is not None and config.transfer != "scaled":
-        parts.append(f"transfer {config.transfer}")
+        parts.append(config.transfer)
     if config.frozen:
         parts.append("frozen")
-    return ", ".join(parts)
+    return "-".join(parts)
 
 
 def _explorers(lineage: artefacts.Lineage) -> set[str]:

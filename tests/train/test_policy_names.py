@@ -6,6 +6,7 @@ import pytest
 
 from gym_open.agents.config import EncoderConfig
 from gym_open.artefacts import Lineage, Parent
+from gym_open.config import check
 from gym_open.train.config import PolicyTrainConfig
 from gym_open.train.policy import _name
 
@@ -24,13 +25,14 @@ ENCODER = _lineage("encoder", {"world_model": "icm"}, _lineage("release", {}, LO
     [
         (None, {}, "scratch"),
         (None, {"encoder": EncoderConfig(architecture="state")}, "state"),
-        (None, {"encoder": EncoderConfig(architecture="impala")}, "scratch, impala"),
+        (None, {"encoder": EncoderConfig(architecture="impala")}, "scratch-impala"),
         (LOG, {}, "curl+ride"),
-        (LOG, {"frozen": True}, "curl+ride, frozen"),
-        (ENCODER, {}, "curl+ride off-line icm"),
-        (ENCODER, {"transfer": "weights", "frozen": True}, "curl+ride off-line icm, transfer weights, frozen"),
-        (_lineage("log", {}), {}, "unknown play"),
+        (LOG, {"frozen": True}, "curl+ride-frozen"),
+        (ENCODER, {}, "curl+ride-offline-icm"),
+        (ENCODER, {"transfer": "weights", "frozen": True}, "curl+ride-offline-icm-weights-frozen"),
+        (_lineage("log", {}), {}, "unknown-play"),
     ],
 )
 def test_names_tell_treatments_apart(start: Lineage | None, changes: dict[str, Any], name: str) -> None:
     assert _name(PolicyTrainConfig(**changes), start) == name
+    check(PolicyTrainConfig(agent=name), source="the default")  # it can be given, too
