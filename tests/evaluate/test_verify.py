@@ -12,6 +12,7 @@ import pytest
 
 from gym_open import artefacts
 from gym_open.agents.config import EncoderConfig, PPOConfig
+from gym_open.cli import main
 from gym_open.envs.puzzles import Puzzle, Task
 from gym_open.envs.puzzles.sets import Split, puzzles_of
 from gym_open.errors import ArtefactError
@@ -108,6 +109,16 @@ def test_honest_scores_say_what_was_shown_of_who_chose(
     made: Mapping[str, Path], name: str, policy: str | None, chosen: str
 ) -> None:
     assert verify_scores(made[name], made[policy] if policy else None).chosen.startswith(chosen)
+
+
+def test_the_command_tells_it(made: Mapping[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
+    scores, policy = str(made["policy"]), str(made["weights"])
+    assert main(["score", "verify", scores]) == 0
+    assert "that the policy chose these actions was not shown" in capsys.readouterr().out
+    assert main(["score", "verify", scores, "--policy", policy]) == 0
+    assert "the policy chose every action again" in capsys.readouterr().out
+    assert main(["score", "verify", scores, "--policy", policy, "--puzzle", "avoidance/000"]) == 2
+    assert "leave out --puzzle, or --policy" in capsys.readouterr().err
 
 
 def test_better_episodes_under_the_random_agents_name(made: Mapping[str, Path], tmp_path: Path) -> None:
