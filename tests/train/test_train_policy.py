@@ -106,7 +106,7 @@ def test_from_an_explorers_own_encoder(tmp_path: Path) -> None:
     )
     path = train_policy(barely, log, tmp_path / "p").path
     facts = artefacts.lineage(path).facts
-    assert (facts["encoder"], facts["agent"]) == ("online", "icm")
+    assert (facts["encoder"], facts["agent"]) == ("online", "icm-weights")
     for a, b in zip(load_policy(path).encoder.parameters(), load_encoder(log).parameters(), strict=True):
         torch.testing.assert_close(a, b, atol=1e-8, rtol=0)
     alone, never = ExplorerConfig(world_model="none", reward="none"), CurriculumConfig(rule="never")
