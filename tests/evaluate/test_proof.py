@@ -137,6 +137,12 @@ def test_a_log_without_an_encoder_is_nothing_to_start_from(tmp_path: Path) -> No
     assert_missing(prove(policy_of(tmp_path / "policy", bare)), "the log that it started from holds no encoder")
 
 
+@pytest.mark.parametrize("name", ["random", "oracle", "human"])
+def test_a_policy_under_the_name_of_what_is_none_is_no_policy(tmp_path: Path, name: str) -> None:
+    assert_missing(prove(policy_of(tmp_path / "policy", None, agent=name)), "its facts are not those of a policy")
+    assert prove(policy_of(tmp_path / "other", None, agent=f"{name}-2")).verdict == "no encoder"
+
+
 def test_without_an_encoder_there_is_nothing_to_prove(tmp_path: Path) -> None:
     assert task_free_proof(None).verdict == "no encoder"
     proof = prove(policy_of(tmp_path / "policy", None))
