@@ -189,7 +189,8 @@ class Evaluate(StageCommand):
         made = evaluate(self.settings, self.policy, folder, oracle=self.oracle, at=self.at)
         out.print(score_table({name: made.path}))
         say(proof_text(name, made.path))
-        report(made, f"gym-open score verify {word(made.path)}", f"gym-open report {word(made.path.parent)}")
+        chosen = f" --policy {word(self.policy)}" if self.policy else ""
+        report(made, f"gym-open score verify {word(made.path)}{chosen}", f"gym-open report {word(made.path.parent)}")
 
     def _name(self) -> str:
         """What was scored, and how if that is not the usual: scores that differ in it stand side by side."""
