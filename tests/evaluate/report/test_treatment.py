@@ -103,3 +103,22 @@ def test_that_nothing_is_told_apart_is_said_of_the_trained_alone(tmp_path: Path,
     make_run(tmp_path / "scores" / "random", agent="random", skill=0.01)
     found = _report(tmp_path / "scores")["findings"][0]
     assert "No agent trained on pictures is told apart from scratch" in found
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_three_seeds_may_tell_apart_and_a_shared_encoder_is_said(
+    shared: bool, tmp_path: Path, make_run: Make, train: Make
+) -> None:
+    one = {"log": {"seed": 0}, "encoder": {"seed": 0}} if shared else None
+    for agent, skill in (("scratch", 0.3), ("curl+ride", 0.9)):
+        for seed in range(3):
+            # Its folders are named by the seed; of equal settings come equal artefacts, whatever the folder.
+            policy = train(tmp_path / "made", agent, "goal-seeking", seed, 1000, changes=one)
+            out = tmp_path / "scores" / f"{agent}-{seed}"
+            make_run(out, agent=agent, seed=seed, trained=1000, policy=policy, skill=skill)
+    table = _report(tmp_path / "scores")
+    assert "Told apart from scratch: curl+ride +" in table["findings"][0]
+    said = [
+        note for note in table["notes"] if note.startswith("One play and one encoder for several seeds: curl+ride.")
+    ]
+    assert bool(said) == shared
