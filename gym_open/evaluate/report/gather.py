@@ -211,10 +211,13 @@ def _beside(sources: Sequence[Path]) -> Iterator[Path]:
 def _run(folder: Path) -> Run:
     record, lineage = read_scores(folder), artefacts.lineage(folder)
     _check_player(folder, record, lineage)
-    puzzles, rewards = _episodes(folder, record)
+    puzzles, rewards, steps = _episodes(folder, record)
     returns = np.cumsum(rewards, axis=1)
     values = returns @ _weights(returns.shape[1])
-    numbers = {"a_success": float(values.mean()), "mean_return": float(returns[:, -1].mean()), "puzzles": len(puzzles)}
+    numbers = {
+        "a_success": float(values.mean()), "mean_return": float(returns[:, -1].mean()), "mean_steps": steps,
+        "puzzles": len(puzzles),
+    }  # fmt: skip
     for key, found in numbers.items():
         if abs((said := getattr(record, key)) - found) > _SAME:
             raise ArtefactError(f"{folder / RECORD}: `{key}` is {said}, but {EPISODES} gives {found}; evaluate again")
@@ -238,10 +241,10 @@ def _check_player(folder: Path, record: Scores, lineage: Lineage) -> None:
     elif lineage.parents:
         policy = lineage.parents[0]
         facts = policy_facts(policy, folder)
-        lengths = {facts.steps, *(checkpoint.step for checkpoint in facts.checkpoints)}
+        asked = artefacts.config_of(folder).get("at")
         claims = [("policy", record.policy, policy.digest), ("agent", record.agent, facts.agent)]
         claims += [("task", record.task, facts.task), ("seed", record.seed, facts.seed)]
-        claims += [("trained", record.trained, record.trained if record.trained in lengths else facts.steps)]
+        claims += [("trained", record.trained, facts.steps if asked is None else facts.steps_at(asked))]
     else:
         claims = []
     for key, said, found in claims:
@@ -251,8 +254,8 @@ def _check_player(folder: Path, record: Scores, lineage: Lineage) -> None:
             )
 
 
-def _episodes(folder: Path, record: Scores) -> tuple[tuple[str, ...], np.ndarray]:
-    """Ids of the puzzles, and rewards (puzzles, N) with zeros behind an episode's end."""
+def _episodes(folder: Path, record: Scores) -> tuple[tuple[str, ...], np.ndarray, float]:
+    """Ids of the puzzles, rewards (puzzles, N) with zeros behind an episode's end, and actions an episode."""
     rows, budget = read_episodes(folder), step_budget(record.task)
     fixed = [puzzle_id(record.task, record.split, i) for i in range(PER_SET)]
     ids = [row["puzzle"] for row in rows]
@@ -270,7 +273,7 @@ def _episodes(folder: Path, record: Scores) -> tuple[tuple[str, ...], np.ndarray
             raise ArtefactError(f"{folder / EPISODES}: row {i}: not rewards of {budget} actions ({error})") from None
     if not np.isfinite(rewards).all():
         raise ArtefactError(f"{folder / EPISODES}: rewards that are not finite; evaluate again")
-    return tuple(ids), rewards
+    return tuple(ids), rewards, float(np.mean([len(row["rewards"]) for row in rows]))
 
 
 def _probe(folder: Path) -> Probe:

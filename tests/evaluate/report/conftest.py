@@ -117,10 +117,11 @@ def episodes_of(task: str, skill: float, seed: int, puzzles: int) -> Episodes:
 def write_run(
     out: Path, *, agent: str, task: Task = "goal-seeking", seed: int | None = 0, trained: int = 0, skill: float = 0.5,
     policy: Path | None = None, actions: str = "sampled", split: Any = "test", puzzles: int = 100,
-    draw: int | None = None, at: int | None = None,
+    draw: int | None = None,
     facts: Mapping[str, Any] | None = None, change: Mapping[str, Any] | None = None,
 ) -> Path:  # fmt: skip
-    """A scores artefact; `change` overwrites fields of scores.json."""
+    """A scores artefact, at a checkpoint if the policy learned for longer; `change` is of fields of scores.json."""
+    at = trained if policy and trained != artefacts.lineage(policy).facts["steps"] else None
     proof = oracle_proof() if agent == "oracle" else task_free_proof(policy and link(policy))
     if agent == "human":
         proof = Proof(verdict="no encoder", reasons=["a person played"], chain=[])
@@ -165,7 +166,7 @@ def make_grid(
                     skill = (skills or {}).get(agent, 0.6) * (i + 1) / len(lengths)
                     write_run(
                         root / "scores" / agent / f"{task}-{seed}-{trained}", agent=agent, task=task, seed=seed,
-                        trained=trained, skill=skill, policy=policy, at=trained if trained < lengths[-1] else None,
+                        trained=trained, skill=skill, policy=policy,
                     )  # fmt: skip
         write_run(root / "scores" / f"random-{task}", agent="random", task=task, skill=0.1)
         write_run(

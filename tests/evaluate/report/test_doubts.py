@@ -57,7 +57,8 @@ def test_damaged_scores_are_named(file: str, tmp_path: Path, make_run: Make) -> 
 @pytest.mark.parametrize(
     ("change", "word"),
     [({"a_success": 0.9}, "a_success"), ({"puzzles": 99}, "puzzles"), ({"trained": "many"}, "trained"),
-     ({"mean_return": 0.0}, "mean_return"), ({"task": "chess"}, "task"), ({"split": "validation"}, "each once"),
+     ({"mean_return": 0.0}, "mean_return"), ({"mean_steps": 1.5}, "mean_steps"),
+     ({"task": "chess"}, "task"), ({"split": "validation"}, "each once"),
      ({"agent": "human", "policy": "f" * 64}, "policy")],
 )  # fmt: skip
 def test_a_record_that_its_episodes_contradict_is_refused(
@@ -69,7 +70,14 @@ def test_a_record_that_its_episodes_contradict_is_refused(
 
 @pytest.mark.parametrize(
     "change",
-    [{"agent": "curl+ride"}, {"seed": 3}, {"trained": 999}, {"policy": "0" * 64}, {"agent": "random", "trained": 0}],
+    [
+        {"agent": "curl+ride"},
+        {"seed": 3},
+        {"trained": 999},
+        {"trained": 500},
+        {"policy": "0" * 64},
+        {"agent": "random", "trained": 0},
+    ],
 )
 def test_who_played_is_who_the_lineage_says(
     change: dict[str, Any], tmp_path: Path, make_run: Make, train: Make
