@@ -159,7 +159,7 @@ def _learn_the_task(
 
 
 def _look(plan: Plan, root: Path, seed: int, sources: list[Path], journal: Journal) -> tuple[Path, Path]:
-    from gym_open.viz.curves import draw_run_figure
+    from gym_open.viz.figures import draw_run_figure
     from gym_open.viz.recording import visualize
 
     log, *others = sources

@@ -13,7 +13,7 @@ from PIL import Image
 from gym_open import artefacts
 from gym_open.config import Config
 from gym_open.errors import ArtefactError
-from gym_open.viz.curves import draw_run_figure
+from gym_open.viz.figures import draw_run_figure
 
 
 class Curriculum(Config, frozen=True):
