@@ -25,8 +25,9 @@ from gym_open.envs.world import World
 from gym_open.errors import ArtefactError, ConfigError, GymOpenError
 from gym_open.evaluate import scores
 from gym_open.evaluate.proof import human_proof
-from gym_open.evaluate.scores import Episodes, Scores
+from gym_open.evaluate.scores import Episodes
 from gym_open.formats.logs import LogHead, LogWriter, SegmentStart, StepRecord, Switch, log_name
+from gym_open.formats.scores import Scores
 from gym_open.hardware import hardware
 
 if TYPE_CHECKING:

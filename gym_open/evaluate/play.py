@@ -21,10 +21,11 @@ from gym_open.envs.state import state_vector
 from gym_open.envs.tasks import step_budget
 from gym_open.errors import ArtefactError, UsageError
 from gym_open.evaluate.config import CheckpointConfig, EvaluateConfig, OracleConfig
-from gym_open.evaluate.proof import PolicyFacts, Proof, oracle_proof, policy_facts, task_free_proof
-from gym_open.evaluate.scores import Episodes, Scores, summarise, write_episodes, write_scores
+from gym_open.evaluate.proof import PolicyFacts, oracle_proof, policy_facts, task_free_proof
+from gym_open.evaluate.scores import Episodes, summarise, write_episodes, write_scores
+from gym_open.formats.acting import action_generator, draw_action, load_judge
+from gym_open.formats.scores import Proof, Scores
 from gym_open.hardware import hardware
-from gym_open.seeding import generator
 
 Actor = Callable[[np.ndarray], np.ndarray]
 """From images (B, 84, 84, 3) uint8, or states (B, `STATE_SIZE`) float32, to action probabilities (B, 9)."""
@@ -183,11 +184,11 @@ def play(
 
 def chooser(actor: Actor, task: Task, n: int, config: EvaluateConfig) -> Choice:
     """How the actor's probabilities become the actions that are played in n puzzles, and scored."""
-    rngs = [generator(config.seed, "evaluate", task, i) for i in range(n)]
+    rngs = [action_generator(config.seed, task, i) for i in range(n)]
 
     def choose(_: int, running: np.ndarray, seen: np.ndarray) -> list[int]:
         rows = zip(running, actor(seen), strict=True)
-        return [int(p.argmax()) if config.actions == "greedy" else _sample(p, rngs[i]) for i, p in rows]
+        return [int(p.argmax()) if config.actions == "greedy" else draw_action(p, rngs[i]) for i, p in rows]
 
     return choose
 
@@ -246,21 +247,5 @@ def uniform(images: np.ndarray) -> np.ndarray:
 
 def load_actor(folder: Path, config: EvaluateConfig) -> tuple[Actor, bool]:
     """The policy in a folder, and whether it sees states in place of pictures."""
-    import torch
-
-    from gym_open.formats.models import load_policy
-
-    torch.set_num_threads(config.threads)
-    network = load_policy(folder).eval()
-
-    @torch.inference_mode()
-    def probabilities(seen: np.ndarray) -> np.ndarray:
-        logits, _ = network(network.prepare(torch.from_numpy(seen)))
-        return torch.softmax(logits.double(), dim=1).numpy()
-
-    return probabilities, network.encoder.config.architecture == "state"
-
-
-def _sample(probabilities: np.ndarray, rng: np.random.Generator) -> int:
-    edges = np.cumsum(probabilities)
-    return min(int(np.searchsorted(edges, rng.random() * edges[-1], side="right")), len(edges) - 1)
+    judge, states = load_judge(folder, config.threads)
+    return lambda seen: judge(seen)[0], states

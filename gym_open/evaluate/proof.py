@@ -17,8 +17,7 @@ from msgspec import Meta
 from gym_open.artefacts import LINEAGE, Parent, code_version
 from gym_open.envs.puzzles.sets import reserved_digests
 from gym_open.errors import ArtefactError
-
-Verdict = Literal["proven", "no encoder", "missing", "not applicable"]
+from gym_open.formats.scores import Proof
 
 _BELOW = {"policy": ("encoder", "log"), "encoder": ("release",), "release": ("log", "release"), "log": ()}
 """What each kind of link may be made of."""
@@ -32,22 +31,6 @@ _PAYLOAD = {
 """Files without which an artefact is none of its kind."""
 _LEARNED_FROM = {"none": [], "offline": ["encoder"], "online": ["log"]}
 """Parents of a policy, by what its facts say of its encoder."""
-
-
-class Proof(msgspec.Struct, frozen=True):
-    """What can be said of a policy's origin.
-
-    `proven`: the whole chain is there and task-free. `no encoder`: nothing was learned before the task.
-    `missing`: the chain breaks where `reasons` says, and nothing is certified.
-    `not applicable`: what played is no policy.
-    """
-
-    verdict: Verdict
-    reasons: list[str]
-    chain: list[str]
-    """A line for each link, from the policy down to the logs."""
-    rests_on: str = ""
-    """What must be believed, since records cannot show it, and how to find out."""
 
 
 class _Checkpoint(msgspec.Struct, frozen=True):

@@ -20,9 +20,10 @@ from gym_open.evaluate.config import CheckpointConfig, EvaluateConfig, OracleCon
 from gym_open.evaluate.human import HumanConfig
 from gym_open.evaluate.metrics import a_success
 from gym_open.evaluate.play import chooser, load_actor, play, uniform
-from gym_open.evaluate.proof import Proof, human_proof, oracle_proof, policy_facts, task_free_proof
-from gym_open.evaluate.replay import play_again, puzzle_of, refused
-from gym_open.evaluate.scores import EPISODES, RECORD, Episodes, Scores, read_episodes, read_scores, summarise
+from gym_open.evaluate.proof import human_proof, oracle_proof, policy_facts, task_free_proof
+from gym_open.evaluate.scores import Episodes, summarise
+from gym_open.formats.episodes import play_again, puzzle_of, refused
+from gym_open.formats.scores import EPISODES, RECORD, Proof, Scores, read_episodes, read_scores
 
 Row = dict[str, Any]
 

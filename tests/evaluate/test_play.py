@@ -24,8 +24,9 @@ from gym_open.evaluate import a_success
 from gym_open.evaluate import play as playing
 from gym_open.evaluate.config import EvaluateConfig
 from gym_open.evaluate.play import evaluate, play, replay
-from gym_open.evaluate.scores import Episodes, read_scores, summarise
+from gym_open.evaluate.scores import Episodes, summarise
 from gym_open.formats.models import load_policy
+from gym_open.formats.scores import read_scores
 from gym_open.train.config import PolicyTrainConfig
 from gym_open.train.policy import train_policy
 

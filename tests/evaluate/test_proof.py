@@ -15,7 +15,8 @@ from gym_open.config import Config
 from gym_open.envs.env import OpenEnv
 from gym_open.envs.puzzles import TASKS, Puzzle, Task, generators
 from gym_open.envs.puzzles.sets import puzzle_by_id, puzzles_of, reserved_digests
-from gym_open.evaluate.proof import Proof, oracle_proof, task_free_proof
+from gym_open.evaluate.proof import oracle_proof, task_free_proof
+from gym_open.formats.scores import Proof
 from gym_open.train.tables import Tables
 
 CLEAN = {"task": "sandbox", "extrinsic_reward": False, "puzzles": ["0" * 64]}

@@ -21,9 +21,10 @@ from gym_open.evaluate import play
 from gym_open.evaluate.config import CheckpointConfig, EvaluateConfig
 from gym_open.evaluate.play import evaluate
 from gym_open.evaluate.proof import task_free_proof
-from gym_open.evaluate.replay import replay_puzzle
-from gym_open.evaluate.scores import EPISODES, RECORD, Episodes, read_episodes, read_scores, summarise
+from gym_open.evaluate.scores import Episodes, summarise
 from gym_open.evaluate.verify import verify_scores
+from gym_open.formats.episodes import replay_puzzle
+from gym_open.formats.scores import EPISODES, RECORD, read_episodes, read_scores
 
 Forge = Callable[[Callable[[Path], None]], Path]
 

@@ -20,8 +20,8 @@ from gym_open.evaluate import play, verify
 from gym_open.evaluate.config import EvaluateConfig
 from gym_open.evaluate.human import HumanConfig, Round, write_scores
 from gym_open.evaluate.play import evaluate
-from gym_open.evaluate.scores import EPISODES, RECORD
 from gym_open.evaluate.verify import verify_scores
+from gym_open.formats.scores import EPISODES, RECORD
 from gym_open.train.config import PolicyTrainConfig
 from gym_open.train.policy import train_policy
 

@@ -21,8 +21,8 @@ from gym_open.envs.tasks import step_budget
 from gym_open.errors import ArtefactError, UsageError
 from gym_open.evaluate.metrics import a_success
 from gym_open.evaluate.proof import policy_facts
-from gym_open.evaluate.scores import EPISODES, RECORD, Scores, read_episodes, read_scores
 from gym_open.files import sha256_file
+from gym_open.formats.scores import EPISODES, RECORD, Scores, read_episodes, read_scores
 from gym_open.terminal import printable
 
 PROBE = "probe.json"

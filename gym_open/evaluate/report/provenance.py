@@ -8,8 +8,9 @@ import msgspec
 import tomli_w
 
 from gym_open.artefacts import CONFIG, Lineage, Parent, canonical_json
-from gym_open.evaluate.proof import Proof, task_free_proof
+from gym_open.evaluate.proof import task_free_proof
 from gym_open.evaluate.report.gather import UNTRAINED, Run, one_line
+from gym_open.formats.scores import Proof
 from gym_open.terminal import printable
 
 _VARIES = ("seed", "task", "agent", "at")

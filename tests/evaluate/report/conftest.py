@@ -13,8 +13,9 @@ from gym_open.artefacts import Parent
 from gym_open.config import Config
 from gym_open.envs.puzzles import Puzzle, Task
 from gym_open.envs.puzzles.sets import puzzle_id, puzzles_of
-from gym_open.evaluate.proof import Proof, oracle_proof, task_free_proof
-from gym_open.evaluate.scores import Episodes, Scores, summarise, write_episodes, write_scores
+from gym_open.evaluate.proof import oracle_proof, task_free_proof
+from gym_open.evaluate.scores import Episodes, summarise, write_episodes, write_scores
+from gym_open.formats.scores import Proof, Scores
 
 HARDWARE: dict[str, str | int] = {"processor": "An Abacus", "cores": 2, "threads": 1, "device": "cpu"}
 N = {"goal-seeking": 100, "preferences": 100, "avoidance": 100, "tool-use": 200}

@@ -4,6 +4,7 @@ The recorded actions are taken in a fresh world, and each must be paid what was 
 round otherwise, and contacts let that grow: there, a difference is no proof of a forgery.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,11 @@ from gym_open.envs.puzzles import Puzzle
 from gym_open.envs.puzzles.sets import puzzle_by_id
 from gym_open.envs.tasks import step_budget
 from gym_open.errors import ArtefactError
-from gym_open.evaluate.scores import EPISODES, Scores, read_episodes, read_scores
+from gym_open.formats.scores import EPISODES, Scores, read_episodes, read_scores
 
 _ELSE = "the scores are forged, or were made on another type of machine or with other packages; evaluate again"
+See = Callable[[OpenEnv, np.ndarray, dict[str, Any]], None]
+"""Takes the environment as it is now, its observation (84, 84, 3) uint8, and its info."""
 
 
 class Replay(msgspec.Struct, frozen=True):
@@ -34,12 +37,13 @@ class Replay(msgspec.Struct, frozen=True):
     """Whether the task ended it, or its budget did."""
 
 
-def replay_puzzle(scores: Path, puzzle: str) -> Replay:
+def replay_puzzle(scores: Path, puzzle: str, see: See | None = None) -> Replay:
     """Play again what was played on one puzzle.
 
     Args:
         scores: a scores artefact, of a policy, the random agent, the oracle or a person.
         puzzle: its id, such as `tool-use/017` or `tool-use/validation/017`.
+        see: is shown the beginning and every step.
 
     Raises:
         PuzzleError: if no fixed puzzle has this id.
@@ -50,7 +54,7 @@ def replay_puzzle(scores: Path, puzzle: str) -> Replay:
     rows = read_episodes(scores)
     for row in rows:
         if row["puzzle"] == puzzle:
-            return play_again(scores / EPISODES, puzzle_of(scores / EPISODES, record, row), row)
+            return play_again(scores / EPISODES, puzzle_of(scores / EPISODES, record, row), row, see)
     held = f"{rows[0]['puzzle']} to {rows[-1]['puzzle']}" if rows else "none"
     raise ArtefactError(f"{scores}: no episode of puzzle {puzzle}; it holds {held}")
 
@@ -76,14 +80,28 @@ def puzzle_of(file: Path, record: Scores, row: dict[str, Any]) -> Puzzle:
     return puzzle
 
 
-def play_again(file: Path, puzzle: Puzzle, row: dict[str, Any]) -> Replay:
-    """Play the actions of a row, and hold what comes of them against it."""
+def play_again(file: Path, puzzle: Puzzle, row: dict[str, Any], see: See | None = None) -> Replay:
+    """Play the actions of a row, and hold what comes of them against it.
+
+    Args:
+        file: named in errors.
+        puzzle: of the row, from `puzzle_of`.
+        row: of `read_episodes`.
+        see: is shown the beginning and every step.
+
+    Raises:
+        ArtefactError: naming the first step at which something else happens.
+    """
     actions, rewards = row["actions"], row["rewards"]
     env = OpenEnv(puzzle.task)
-    env.reset(seed=0, options={"puzzle": puzzle})
+    image, info = env.reset(seed=0, options={"puzzle": puzzle})
+    if see:
+        see(env, image, info)
     terminated = False
     for step, (action, reward) in enumerate(zip(actions, rewards, strict=True), 1):
-        _, paid, terminated, truncated, _ = env.step(action)
+        image, paid, terminated, truncated, info = env.step(action)
+        if see:
+            see(env, image, info)
         if paid != reward:
             raise refused(file, row, f"step {step}: reward {reward} was recorded, {paid} is paid")
         if (terminated or truncated) is not (step == len(actions)):
