@@ -1,6 +1,5 @@
 """A world on a server: the same bits as in this process, and an answer to each way in which it can go wrong."""
 
-import contextlib
 import os
 import re
 import signal
@@ -8,60 +7,24 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Self
 
-import grpc
 import gymnasium
-import msgspec
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-import gym_open
 from gym_open.envs.puzzles import PuzzleError
 from gym_open.errors import ConfigError, GymOpenError, UsageError
 from gym_open.remote import protocol as p
 from gym_open.remote.address import is_loopback, read_token
 from gym_open.remote.server import Server
 
+Client = Callable[..., Any]
+
 TOKEN = "correct-horse-battery-staple"
-
-
-def client(port: int, **changes: Any) -> Any:
-    given = {"env_ip": "127.0.0.1", "self_ip": "localhost", "port": port, "deadline_s": 20.0}
-    return gymnasium.make("gym_open:open_puzzle_proc-v0", **{**given, **changes})
-
-
-@pytest.fixture(scope="module")
-def server() -> Iterator[Server]:
-    """Two places, in a thread of this process."""
-    with Server("127.0.0.1", 0, None, clients=2) as started:
-        yield started
-
-
-@pytest.fixture
-def env(server: Server) -> Iterator[Any]:
-    made = client(server.port)
-    yield made
-    made.close()
-    assert len(server.sessions) == 0
-
-
-def raw(port: int, body: bytes, method: str = f"/{p.SERVICE}/{p.METHOD}", **options: Any) -> bytes:
-    """Send bytes as they are, past the client."""
-    with grpc.insecure_channel(f"127.0.0.1:{port}", [("grpc.max_send_message_length", -1)]) as channel:
-        return channel.unary_unary(method)(body, timeout=20, **options)
-
-
-def refused_with(port: int, body: bytes, **options: Any) -> tuple[grpc.StatusCode, str]:
-    with pytest.raises(grpc.RpcError) as caught:
-        raw(port, body, **options)
-    error: Any = caught.value
-    return error.code(), error.details()
 
 
 class Process:
@@ -94,7 +57,7 @@ def near(**changes: Any) -> Any:
 
 
 @pytest.mark.parametrize("debug", [False, True])
-def test_far_is_near_bit_for_bit(server: Server, debug: bool) -> None:
+def test_far_is_near_bit_for_bit(client: Client, server: Server, debug: bool) -> None:
     pair = near(debug=debug), client(server.port, debug=debug)
     rng = np.random.default_rng(0)
     for one in pair:
@@ -146,7 +109,7 @@ def test_an_error_is_the_same_near_and_far(env: Any, call: Any, kind: type[GymOp
     assert said[0][0] is kind
 
 
-def test_each_client_has_a_world_of_its_own_until_the_places_are_taken(server: Server) -> None:
+def test_each_client_has_a_world_of_its_own_until_the_places_are_taken(client: Client, server: Server) -> None:
     one, two = client(server.port), client(server.port)
     for seed, env in enumerate((one, two)):
         env.add_change_puzzle(1, 1)
@@ -164,7 +127,7 @@ def test_each_client_has_a_world_of_its_own_until_the_places_are_taken(server: S
     assert len(server.sessions) == 0
 
 
-def test_clients_play_side_by_side(server: Server) -> None:
+def test_clients_play_side_by_side(client: Client, server: Server) -> None:
     """Two threads at once get what each would have got alone."""
 
     def played(seed: int, out: dict[int, Any]) -> None:
@@ -186,7 +149,7 @@ def test_clients_play_side_by_side(server: Server) -> None:
     assert together == alone
 
 
-def test_more_clients_at_once_than_places_get_the_places_or_a_clear_no(server: Server) -> None:
+def test_more_clients_at_once_than_places_get_the_places_or_a_clear_no(client: Client, server: Server) -> None:
     """Thirty at once are more than the calls that the server takes up at a time, too."""
     got: list[Any] = []
 
@@ -207,149 +170,7 @@ def test_more_clients_at_once_than_places_get_the_places_or_a_clear_no(server: S
     client(server.port).close()
 
 
-@given(st.binary(max_size=300))
-def test_bytes_are_a_request_or_refused(body: bytes) -> None:
-    with contextlib.suppress(ValueError):
-        p.decode_request(body)
-
-
-@given(st.integers(0, 40), st.binary(min_size=1, max_size=4))
-def test_a_changed_request_is_one_or_refused(at: int, change: bytes) -> None:
-    body = p.encode(p.Request("0" * 8, p.ChangePuzzle(0, None, {"cube": 3})))
-    with contextlib.suppress(ValueError):
-        p.decode_request(body[:at] + change + body[at + len(change) :])
-
-
-@pytest.mark.parametrize(
-    "body",
-    [
-        b"",
-        b"\xc1",
-        b"\x93" * 30_000,
-        msgspec.msgpack.encode({"session": "", "call": {"type": "Exec", "code": "1"}}),
-        msgspec.msgpack.encode({"session": "", "call": {"type": "Open"}}),
-        msgspec.msgpack.encode({"session": 3, "call": {"type": "Close"}}),
-        msgspec.msgpack.encode({"session": "\ud800".encode("utf-8", "surrogatepass"), "call": {"type": "Close"}}),
-    ],
-    ids=["empty", "no MessagePack", "too deep", "unknown call", "fields missing", "wrong type", "bytes for text"],
-)
-def test_a_malformed_message_is_refused_and_the_session_plays_on(env: Any, server: Server, body: bytes) -> None:
-    env.add_change_puzzle(1, 1)
-    before = env.step(0)
-    code, details = refused_with(server.port, body)
-    assert code is grpc.StatusCode.INVALID_ARGUMENT
-    assert "not a message of protocol 1" in details
-    assert env.step(0) == before
-
-
-def test_an_argument_too_deep_is_refused_and_the_session_plays_on(env: Any, server: Server) -> None:
-    env.add_change_puzzle(1, 1)
-    deep = b"\x91" * 20_000 + b"\xc0"
-    request = p.encode(p.Request(env._session._session, p.Step(msgspec.Raw(deep))))
-    assert refused_with(server.port, request)[0] is grpc.StatusCode.INVALID_ARGUMENT
-    env.step(0)
-
-
-def test_an_unknown_method_or_session_is_refused(server: Server) -> None:
-    body = p.encode(p.Request("0" * 32, p.Step(1)))
-    assert refused_with(server.port, body, method="/gym_open.World/Other")[0] is grpc.StatusCode.UNIMPLEMENTED
-    answer = p.decode_reply(raw(server.port, body))
-    assert isinstance(answer, p.Refused)
-    assert "does not know this session" in answer.message
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda env: env.reset(seed=2**70), "Reset: an argument cannot be sent"),
-        (lambda env: env.add_change_puzzle(0, 0, {"\ud800": 1}), "an argument cannot be sent"),
-        (lambda env: env.add_change_puzzle(0, 0, _endless()), "add_change_puzzle: .*recursion"),
-    ],
-)
-def test_what_no_message_can_hold_is_named(env: Any, call: Any, message: str) -> None:
-    with pytest.raises(UsageError, match=message):
-        call(env)
-    env.add_change_puzzle(1, 1)
-
-
-def _endless() -> dict[str, Any]:
-    made: dict[str, Any] = {}
-    made["cube"] = made
-    return made
-
-
-def test_a_closed_environment_says_so(server: Server) -> None:
-    env = client(server.port)
-    env.close()
-    env.close()
-    with pytest.raises(GymOpenError, match="is this environment still open"):
-        env.step(1)
-
-
-def test_oversized_requests_are_refused_by_client_and_server(env: Any, server: Server) -> None:
-    env.add_change_puzzle(1, 1)
-    before = env.step(0)
-    with pytest.raises(GymOpenError, match=rf"127.0.0.1:{server.port}: message too large .* 65536 .* puzzle_config"):
-        env.add_change_puzzle(0, 0, {"cube": "x" * p.REQUEST_BYTES})
-    code, details = refused_with(server.port, b"\0" * (p.REQUEST_BYTES + 1))
-    assert code is grpc.StatusCode.RESOURCE_EXHAUSTED
-    assert "larger than max" in details
-    assert env.step(0) == before
-
-
-def test_an_oversized_reply_is_refused(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(p, "REPLY_BYTES", 10_000)
-    env = client(server.port)
-    env.add_change_puzzle(1, 1)
-    env.set_observation(True)
-    with pytest.raises(GymOpenError, match=r"message too large .* 10000 back"):
-        env.step(1)
-    env.close()
-
-
-@pytest.mark.parametrize(("protocol", "package"), [(p.PROTOCOL + 1, gym_open.__version__), (p.PROTOCOL, "0.0.1")])
-def test_another_version_is_refused(server: Server, protocol: int, package: str) -> None:
-    answer = p.decode_reply(raw(server.port, p.encode(p.Request("", p.Open(protocol, package, debug=False)))))
-    assert isinstance(answer, p.Refused)
-    assert f"the client {package} with protocol {protocol}: install the same version on both" in answer.message
-
-
-def test_another_service_is_not_taken_for_a_server() -> None:
-    class Other(grpc.GenericRpcHandler):
-        def service(self, handler_call_details: object) -> Any:  # noqa: ARG002
-            return grpc.unary_unary_rpc_method_handler(lambda body, _: body)
-
-    other = grpc.server(ThreadPoolExecutor(1), handlers=[Other()])
-    port = other.add_insecure_port("127.0.0.1:0")
-    other.start()
-    with pytest.raises(GymOpenError, match=r"not a message of protocol 1.*is it `gym-open serve`"):
-        client(port)
-    other.stop(0).wait()
-
-
-def test_a_token_is_needed_where_there_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv(p.TOKEN_VARIABLE, raising=False)
-    with Server("127.0.0.1", 0, TOKEN) as server:
-        with pytest.raises(UsageError, match=f"no token was sent; set {p.TOKEN_VARIABLE}"):
-            client(server.port)
-        for wrong in (TOKEN[:-1], TOKEN + "x", TOKEN.upper()):
-            monkeypatch.setenv(p.TOKEN_VARIABLE, wrong)
-            with pytest.raises(UsageError, match="a wrong token was sent"):
-                client(server.port)
-        assert len(server.sessions) == 0
-        monkeypatch.setenv(p.TOKEN_VARIABLE, TOKEN)
-        env = client(server.port)
-        env.add_change_puzzle(1, 1)
-        env.step(1)
-        monkeypatch.delenv(p.TOKEN_VARIABLE)
-        env.step(1)  # it keeps the one it was made with
-        session = env._session._session
-        code, _ = refused_with(server.port, p.encode(p.Request(session, p.Step(1))))
-        assert code is grpc.StatusCode.UNAUTHENTICATED  # a session's name is not enough
-        env.close()
-
-
-def test_only_loopback_goes_without_a_token(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_loopback_goes_without_a_token(client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(p.TOKEN_VARIABLE, raising=False)
     for host in ("0.0.0.0", "::", "192.168.1.2", "example.org"):
         with pytest.raises(UsageError, match=rf"host: {host} can be reached from other machines, so a token is needed"):
@@ -394,7 +215,7 @@ def test_wrong_arguments_of_the_server_are_named(arguments: dict[str, Any], mess
         Server("127.0.0.1", 0, None, **arguments)
 
 
-def test_without_a_server_the_error_says_where_and_what_to_do() -> None:
+def test_without_a_server_the_error_says_where_and_what_to_do(client: Client) -> None:
     with Server("127.0.0.1", 0, None) as server:
         port = server.port
     began = time.monotonic()
@@ -403,7 +224,7 @@ def test_without_a_server_the_error_says_where_and_what_to_do() -> None:
     assert time.monotonic() - began < 10
 
 
-def test_a_vanished_clients_place_is_freed() -> None:
+def test_a_vanished_clients_place_is_freed(client: Client) -> None:
     def pass_time(seconds: float) -> None:
         for place in server.sessions._places.values():
             place.used -= seconds
@@ -431,7 +252,7 @@ def test_a_vanished_clients_place_is_freed() -> None:
         assert len(server.sessions) == 0
 
 
-def test_a_killed_server_ends_in_an_error_that_says_where_and_what_to_do() -> None:
+def test_a_killed_server_ends_in_an_error_that_says_where_and_what_to_do(client: Client) -> None:
     with Process() as server:
         env = client(server.port)
         env.add_change_puzzle(1, 1)
@@ -449,7 +270,7 @@ def test_a_killed_server_ends_in_an_error_that_says_where_and_what_to_do() -> No
         assert time.monotonic() - began < 10
 
 
-def test_a_hanging_server_is_not_waited_for_and_a_stopped_one_ends_well() -> None:
+def test_a_hanging_server_is_not_waited_for_and_a_stopped_one_ends_well(client: Client) -> None:
     with Process(clients=1) as server:
         env = client(server.port, deadline_s=2.0)
         env.add_change_puzzle(1, 1)

@@ -16,6 +16,7 @@ from gym_open.datasets import papers
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.datasets.verify import Report, run, verify_release
+from gym_open.datasets.verify.replaying import replay_release
 
 Reseal = Callable[[Path], None]
 Quick = Callable[[Path], Report]
@@ -59,6 +60,14 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> Quick:
     """Verifies without a replay, and without LeRobot: a process that takes seconds to start."""
     monkeypatch.setattr(run, "check_lerobot", lambda *_: None)
     return lambda root: verify_release(root, replay=False)
+
+
+@pytest.fixture
+def verify(monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], Report]:
+    """Verifies with the replay in this process, and without LeRobot: processes that take seconds to start."""
+    monkeypatch.setattr(run, "check_lerobot", lambda *_: None)
+    monkeypatch.setattr(run, "replay_apart", replay_release)
+    return verify_release
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,38 @@
+"""A server in this process, and clients of it."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import gymnasium
+import pytest
+
+from gym_open.remote.server import Server
+
+Client = Callable[..., Any]
+
+
+@pytest.fixture(scope="session")
+def client() -> Client:
+    """Makes an environment that is on the server at a port."""
+
+    def make(port: int, **changes: Any) -> Any:
+        given = {"env_ip": "127.0.0.1", "self_ip": "localhost", "port": port, "deadline_s": 20.0}
+        return gymnasium.make("gym_open:open_puzzle_proc-v0", **{**given, **changes})
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Server]:
+    """Two places, in a thread of this process."""
+    with Server("127.0.0.1", 0, None, clients=2) as started:
+        yield started
+
+
+@pytest.fixture
+def env(client: Client, server: Server) -> Iterator[Any]:
+    """A client's environment."""
+    made = client(server.port)
+    yield made
+    made.close()
+    assert len(server.sessions) == 0
