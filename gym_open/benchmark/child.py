@@ -1,6 +1,5 @@
 """A job as a process of its own, which ends when the runner ends."""
 
-import ctypes
 import itertools
 import os
 import re
@@ -13,12 +12,12 @@ from pathlib import Path
 
 from gym_open import artefacts
 from gym_open.benchmark.plan import Job
+from gym_open.processes import end_with_parent
 from gym_open.progress import FILE, Progressed
 
 PROGRAM = (sys.executable, "-m", "gym_open.cli")
 _TAIL = 10_000
 """Bytes at the end of a log in which the reason of a failure is looked for."""
-_PR_SET_PDEATHSIG = 1
 
 
 class Child:
@@ -40,7 +39,7 @@ class Child:
                 stderr=subprocess.STDOUT,
                 env={**os.environ, "OMP_NUM_THREADS": "1", FILE: str(self._progress)},
                 start_new_session=True,
-                preexec_fn=_end_with_parent,  # noqa: PLW1509  (the runner has one thread, so it may be forked)
+                preexec_fn=end_with_parent,  # noqa: PLW1509  (the runner has one thread, so it may be forked)
             )
 
     @property
@@ -101,9 +100,3 @@ def _sealed(job: Job) -> int | None:
         return (job.out / artefacts.MANIFEST).stat().st_mtime_ns
     except OSError:
         return None
-
-
-def _end_with_parent() -> None:
-    """In a child: be ended when the runner dies, even if that is killed outright. Other systems have no such thing."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

@@ -7,8 +7,7 @@ decides what may start, watches, ends its children when it ends, and tells.
 import os
 import signal
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -22,6 +21,7 @@ from gym_open.benchmark.table import Screen
 from gym_open.errors import GymOpenError, UsageError
 from gym_open.evaluate.config import EvaluateConfig
 from gym_open.files import lock, write_atomically
+from gym_open.processes import interruptible
 from gym_open.progress import Progressed
 from gym_open.terminal import markup
 
@@ -140,18 +140,6 @@ class Runner:
         return max(seconds(run.job, self._speeds) - run.seconds, 1.0)
 
 
-@contextmanager
-def _interruptible() -> Iterator[None]:
-    """Being told to end, or losing the terminal, is taken as Ctrl-C is."""
-    signs = (signal.SIGTERM, signal.SIGHUP)
-    before = {sign: signal.signal(sign, signal.default_int_handler) for sign in signs}
-    try:
-        yield
-    finally:
-        for sign, handler in before.items():
-            signal.signal(sign, handler)
-
-
 def run_benchmark(config: BenchmarkConfig, out: Path, *, root: Path, jobs: int | None, console: Console) -> Path:
     """Run a benchmark, or what is left of it, and write its report.
 
@@ -179,7 +167,7 @@ def run_benchmark(config: BenchmarkConfig, out: Path, *, root: Path, jobs: int |
     out.parent.mkdir(parents=True, exist_ok=True)
     with lock(out):
         runner = Runner(plan, out / "jobs", width)
-        with _interruptible(), Screen(console) as screen:
+        with interruptible(), Screen(console) as screen:
             runner.run(screen)
         failed = [run for run in runner.runs.values() if run.state == "failed"]
         for run in failed:
