@@ -9,7 +9,7 @@ from gym_open.evaluate.report.gather import Run, is_trained, one_line, standing
 from gym_open.evaluate.report.provenance import Proven
 from gym_open.evaluate.report.results import Cell, Results
 from gym_open.evaluate.report.words import count, interval, number, signed, steps
-from gym_open.evaluate.statistics import least_p_value
+from gym_open.formats.statistics import least_p_value
 
 _FEW = 5
 """Runs below which comparisons of agents are hardly ever firm."""

@@ -9,10 +9,10 @@ import numpy as np
 from gym_open import seeding
 from gym_open.envs.puzzles import TASKS
 from gym_open.errors import UsageError
-from gym_open.evaluate import statistics
 from gym_open.evaluate.config import ReportConfig
 from gym_open.evaluate.paper import PAPER, PaperScore, paper_name
 from gym_open.evaluate.report.gather import Run, is_trained, standing
+from gym_open.formats import statistics
 
 
 class Estimate(msgspec.Struct, frozen=True):
