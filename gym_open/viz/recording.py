@@ -1,116 +1,103 @@
-"""`visualize(config, source, save)`: a log, a release or a learning curve as a Rerun recording, without a screen."""
+"""The front door: which view shows what a person points at."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
-
-import msgspec
-import numpy as np
-import rerun as rr
 
 from gym_open import artefacts
 from gym_open.errors import ArtefactError, UsageError
-from gym_open.viz import blueprints
+from gym_open.viz import viewers
+from gym_open.viz.choice import Choice
 from gym_open.viz.config import VizConfig
-from gym_open.viz.spans import Stream, streams_of_log, streams_of_release
-from gym_open.viz.trajectory import BLUE, log_stream
+from gym_open.viz.view import View
 
-APPLICATION = "gym-open"
-CURVE, SCORES = "curve.json", "scores.json"
-
-
-class Curve(msgspec.Struct, frozen=True):
-    """A learning curve as the training stages write it; the first column is what the others are drawn over."""
-
-    columns: list[str]
-    rows: list[list[float | None]]
+LOG, BENCHMARK = "log", "benchmark"
+_PLAY = frozenset({LOG, "release"})
+_PLAYED = frozenset({"scores", "policy"})
+_LEARNED = frozenset({"encoder", "policy", "probe", "report", BENCHMARK})
+_LOOKED_AT = "a log (a folder or one .mcap), release, encoder, policy, probe, scores, report, or a benchmark's folder"
 
 
-def visualize(config: VizConfig, source: Path, save: Path) -> Path:
-    """Write a recording of `source` to `save` and return its path.
+def open_view(config: VizConfig, sources: Sequence[Path], choice: Choice) -> View:
+    """What there is to see in the sources; it is read when the view is filled, or already here if it is small.
 
     Args:
         config: how much of it to show.
-        source: a log, release, encoder, policy or scores artefact, or one log file (`.mcap`).
-        save: the recording, `*.rrd`; it appears whole or not at all.
+        sources: one log, release, encoder or policy; or several that can be seen together: scores, policies on one
+            puzzle, or anything that has curves.
+        choice: what of it.
 
     Raises:
-        ArtefactError: if `source` is missing, damaged, or holds nothing to draw.
-        UsageError: if `save` does not end in `.rrd`.
+        ArtefactError: if a source is missing, damaged, or nothing that can be looked at.
+        UsageError: if the sources cannot be seen together, or what was picked is not part of them.
     """
-    if save.suffix != ".rrd":
-        raise UsageError(f"{save}: a recording's name must end in .rrd, got {save.suffix or 'no ending'!r}")
-    kind = "log file" if source.suffix == ".mcap" and source.is_file() else _kind(source)
-    if kind in {"log", "log file"}:
-        return _trajectory(config, source, streams_of_log(source), save)
-    if kind == "release":
-        return _trajectory(config, source, streams_of_release(source), save)
-    if (curve := _curve(source)) is not None:
-        return _curves(source, curve, save)
-    raise ArtefactError(
-        f"{source}: nothing to draw in an artefact of kind {kind!r}; give a log, a release, or one with {CURVE}"
+    if not sources:
+        raise UsageError(f"nothing to look at was given; give {_LOOKED_AT}")
+    kinds = {source: kind_of(source) for source in sources}
+    found = set(kinds.values())
+    alone = len(sources) == 1
+    if choice.puzzle is not None or found == {"scores"}:
+        if others := [source for source, kind in kinds.items() if kind not in _PLAYED]:
+            raise UsageError(f"--puzzle shows scores and policies; {others[0]} is of kind {kinds[others[0]]!r}")
+        from gym_open.viz import puzzles
+
+        return puzzles.view(config, sources, choice)
+    if alone and (found == {"encoder"} or (choice.release is not None and found <= {"policy", LOG})):
+        from gym_open.viz import features
+
+        return features.view(config, sources[0], choice)
+    if alone and found <= _PLAY:
+        from gym_open.viz import play
+
+        return play.view(config, sources[0], choice)
+    if found <= _LEARNED:
+        from gym_open.viz import curves
+
+        return curves.view(config, sources, choice)
+    raise UsageError(
+        f"{', '.join(sorted(found))}: not seen together; give one log or release, or scores alone, or models, probes "
+        "and reports, or scores and policies with --puzzle TASK/NUMBER"
     )
 
 
-def _kind(source: Path) -> str:
-    artefacts.verify(source)
-    return artefacts.lineage(source).kind
+def kind_of(source: Path) -> str:
+    """Kind of the artefact at `source`; `log` also for one log file and for what a killed explorer left.
+
+    Raises:
+        ArtefactError: if there is nothing, or nothing that can be looked at.
+    """
+    if not source.exists():
+        raise ArtefactError(f"{source}: no such file or folder; give {_LOOKED_AT}")
+    if source.suffix == ".mcap" and source.is_file():
+        return LOG
+    if (source / artefacts.LINEAGE).is_file():
+        kind = _kind_told(source)
+        if kind in _PLAY | _PLAYED | _LEARNED:
+            return kind
+        what = {"recording": "rerun", "figure": "open"}.get(kind)
+        file = next((file.name for ending in ("rrd", "png") for file in source.glob(f"*.{ending}")), "its file")
+        remedy = f"it is a picture already: {what} {source / file}" if what else f"give {_LOOKED_AT}"
+        raise ArtefactError(f"{source}: nothing to draw in an artefact of kind {kind!r}; {remedy}")
+    if _holds_logs(source):
+        return LOG
+    if (source / "jobs").is_dir():
+        return BENCHMARK
+    raise ArtefactError(f"{source}: not made by gym-open, or not a whole artefact; give {_LOOKED_AT}")
 
 
-def _trajectory(config: VizConfig, source: Path, streams: Sequence[Stream], save: Path) -> Path:
-    def fill(rec: rr.RecordingStream) -> None:
-        for stream in streams:
-            log_stream(rec, stream, config)
-
-    return _write(source, save, fill, blueprints.trajectory(streams, config))
-
-
-def _curve(source: Path) -> Curve | None:
+def _kind_told(source: Path) -> str:
+    """What the artefact says it is; logs may be damaged in any way, and are looked at all the same."""
     try:
-        if (source / CURVE).is_file():
-            return msgspec.json.decode((source / CURVE).read_bytes(), type=Curve)
-        if (source / SCORES).is_file():
-            scores = msgspec.json.decode((source / SCORES).read_bytes())["mean_return_within"]
-            return Curve(["actions", "mean_return_within"], [[i + 1, score] for i, score in enumerate(scores)])
-    except (msgspec.DecodeError, KeyError) as error:
-        raise ArtefactError(f"{source}: its curve is not readable: {error}; build it again") from None
-    return None
+        return artefacts.lineage(source).kind
+    except ArtefactError:
+        if _holds_logs(source):
+            return LOG
+        raise
 
 
-def _curves(source: Path, curve: Curve, save: Path) -> Path:
-    timeline, *names = curve.columns
-
-    def fill(rec: rr.RecordingStream) -> None:
-        for i, name in enumerate(names, start=1):
-            known = [(row[0], row[i]) for row in curve.rows if row[i] is not None]
-            points = np.array(known, dtype=np.float64).reshape(-1, 2)
-            at = [rr.TimeColumn(timeline, sequence=points[:, 0].astype(np.int64))]
-            rec.send_columns(f"curve/{name}", at, rr.Scalars.columns(scalars=points[:, 1]))
-            rec.log(f"curve/{name}", rr.SeriesLines(names=name.replace("_", " "), colors=BLUE), static=True)
-
-    return _write(source, save, fill, blueprints.curves(names, timeline))
+def _holds_logs(source: Path) -> bool:
+    return source.is_dir() and any(source.glob("*.mcap"))
 
 
-def _write(source: Path, save: Path, fill: Callable[[rr.RecordingStream], None], layout: Any) -> Path:
-    """Fill a recording under a temporary name, then rename it."""
-    save.parent.mkdir(parents=True, exist_ok=True)
-    beside = save.with_name(f".{save.name}.tmp")
-    try:
-        with rr.RecordingStream(APPLICATION, recording_id=save.stem) as rec:
-            rec.save(beside, default_blueprint=layout)
-            rec.log("about/config", _document(source, artefacts.CONFIG), static=True)
-            rec.log("about/lineage", _document(source, artefacts.LINEAGE), static=True)
-            fill(rec)
-            rec.flush()
-            rec.disconnect()
-        beside.replace(save)
-    finally:
-        beside.unlink(missing_ok=True)
-    return save
-
-
-def _document(source: Path, name: str) -> rr.TextDocument:
-    folder = source.parent if source.is_file() else source
-    path = folder / name
-    text = path.read_text(encoding="utf-8") if path.is_file() else "not part of an artefact"
-    return rr.TextDocument(f"# {name} of {folder.name}\n```json\n{text}\n```", media_type=rr.MediaType.MARKDOWN)
+def visualize(config: VizConfig, source: Path, save: Path) -> Path:
+    """Write a recording of all of `source` to `save`, as `open_view` and `viewers.save` do, and return its path."""
+    return viewers.save(open_view(config, [source], Choice()), save)

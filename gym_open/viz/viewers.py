@@ -1,0 +1,238 @@
+"""Where a view goes: into a file, Rerun's own window, or a page on loopback. Nothing leaves this machine.
+
+The window and the page are shown by Rerun's program, as a child that ends with the command. Data goes to it while it is
+read, so the first picture comes before the last step has been looked at.
+"""
+
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from _thread import interrupt_main
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import rerun as rr
+import rerun_cli
+
+from gym_open.errors import GymOpenError, UsageError
+from gym_open.files import unwritable
+from gym_open.processes import end_with_parent, interruptible
+from gym_open.terminal import printable
+from gym_open.viz.page import LOOPBACK, Page
+from gym_open.viz.view import View
+
+APPLICATION = "gym-open"
+WEB_PORT, DATA_PORT = 9090, 9876
+"""Of the page and of its data, as Rerun has them; another free one where they are taken."""
+_PATIENCE = 30.0
+"""Seconds until Rerun's program listens."""
+_PROGRAM = Path(rerun_cli.__file__).with_name("rerun")
+_OTHER_WAYS = "--save FILE.rrd, --web, --video FILE.mp4 or --png FILE.png need no display"
+
+
+def save(view: View, path: Path) -> Path:
+    """Write the view as a recording, which appears whole or not at all, and return its path.
+
+    Raises:
+        ArtefactError: if the source is missing or damaged, or nothing can be written there.
+        UsageError: if the name does not end in `.rrd`.
+    """
+    if path.suffix != ".rrd":
+        raise UsageError(f"{path}: a recording's name must end in .rrd, got {path.suffix or 'no ending'!r}")
+    beside = path.with_name(f".{path.name}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        beside.touch()
+    except OSError as error:
+        raise unwritable(path, error) from None
+    try:
+        _stream(view, lambda rec: rec.save(beside))
+        return beside.replace(path)
+    except _LostError as error:
+        raise unwritable(path, OSError(str(error))) from None
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def native(view: View) -> None:
+    """Show the view in Rerun's own window until that is closed, or Ctrl-C.
+
+    Raises:
+        ArtefactError: if the source is missing or damaged.
+        UsageError: if there is no display.
+        GymOpenError: if the window cannot be opened.
+    """
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise UsageError(f"there is no display to open a window on (DISPLAY is not set); {_OTHER_WAYS}")
+    with interruptible(), _Program("--expect-data-soon") as program:
+        program.show(view)
+
+
+def web(view: View) -> None:
+    """Serve the view as a page on 127.0.0.1, and nowhere else, until Ctrl-C.
+
+    Raises:
+        ArtefactError: if the source is missing or damaged.
+        GymOpenError: if Rerun's program does not start.
+    """
+    inner = _free_port(0)
+    with (
+        interruptible(),
+        _Program("--serve-web", "--web-viewer-port", str(inner)) as program,
+        Page(_free_port(WEB_PORT), inner, program.port) as page,
+    ):
+        here = f"{LOOPBACK}:{page.port}"
+        forward = " ".join(f"-L {port}:{LOOPBACK}:{port}" for port in (page.port, program.port))
+        print(f"gym-open viz: {printable(view.title)} is at http://{here}")
+        print(f"  from another host: first ssh {forward} THIS-HOST, there\n  stop: Ctrl-C", flush=True)
+        program.show(view)
+
+
+class _LostError(Exception):
+    """What was written could not be, or not be sent."""
+
+
+def _stream(view: View, connect: Callable[[rr.RecordingStream], None]) -> None:
+    """Fill a recording that goes where `connect` leads it.
+
+    Raises:
+        _LostError: if not all of it came there.
+    """
+    rec = rr.RecordingStream(f"{APPLICATION}: {view.title}")  # an application of its own: so is its layout
+    with _lost():
+        connect(rec)
+        rec.send_recording_name(view.title)
+        rec.send_blueprint(view.blueprint)
+    view.fill(rec)
+    with _lost():
+        rec.flush()
+        rec.disconnect()
+
+
+@contextmanager
+def _lost() -> Iterator[None]:
+    try:
+        yield
+    except RuntimeError as error:
+        raise _LostError(str(error)) from None
+
+
+class _Program:
+    """Rerun's program, listening for data on loopback; it ends when this is left."""
+
+    def __init__(self, *options: str) -> None:
+        self.port = _free_port(DATA_PORT)
+        self._home = tempfile.TemporaryDirectory(prefix="gym-open-rerun-")
+        self._said = Path(self._home.name, "said.txt")
+        words = [str(_PROGRAM), "--bind", LOOPBACK, "--port", str(self.port), *options]
+        with self._said.open("wb") as output:
+            self._process = subprocess.Popen(  # noqa: S603  (Rerun's program, our options)
+                words,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env=_silent(Path(self._home.name)),
+                start_new_session=True,  # Ctrl-C is for us, who then end it
+                preexec_fn=end_with_parent,  # noqa: PLW1509  (it only makes a system call)
+            )
+
+    def __enter__(self) -> Self:
+        try:
+            self._await_port()
+        except BaseException:
+            self._end()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._end()
+
+    def show(self, view: View) -> None:
+        """Send the view to the program, and stay until the program ends or Ctrl-C is pressed."""
+        url = f"rerun+http://{LOOPBACK}:{self.port}/proxy"
+        try:
+            with self._watched():
+                _stream(view, lambda rec: rec.connect_grpc(url))
+            self._process.wait()
+        except KeyboardInterrupt:
+            pass  # the usual end, also of a window that is closed while it fills
+        except _LostError as error:
+            if self._process.poll() is None:
+                raise GymOpenError(f"Rerun's viewer takes no data ({error}); run the same command again") from None
+        if self._process.poll():
+            raise self._failure()
+
+    @contextmanager
+    def _watched(self) -> Iterator[None]:
+        """Interrupt what is done here when the program ends: nobody looks at it any more."""
+        done = threading.Event()
+
+        def watch() -> None:
+            self._process.wait()
+            if not done.is_set():
+                interrupt_main()
+
+        threading.Thread(target=watch, daemon=True).start()
+        try:
+            yield
+        finally:
+            done.set()
+
+    def _await_port(self) -> None:
+        until = time.monotonic() + _PATIENCE
+        while time.monotonic() < until:
+            if self._process.poll() is not None:
+                raise self._failure()
+            with socket.socket() as probe:
+                if probe.connect_ex((LOOPBACK, self.port)) == 0:
+                    return
+            time.sleep(0.05)
+        raise self._failure()
+
+    def _failure(self) -> GymOpenError:
+        lines = self._said.read_text(encoding="utf-8", errors="replace").splitlines()
+        reason = next((line for line in reversed(lines) if line.startswith("Error: ")), "\n".join(lines[-1:]))
+        return GymOpenError(f"Rerun's viewer ended ({printable(reason) or 'it says nothing'}); {_OTHER_WAYS}")
+
+    def _end(self) -> None:
+        self._process.terminate()
+        try:
+            self._process.wait(5)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._home.cleanup()
+
+
+def _silent(home: Path) -> dict[str, str]:
+    """The environment in which Rerun's program sends nothing about its use to its makers.
+
+    It reads whether it may from a file in the user's configuration, which on Linux can lie elsewhere for the program
+    that is started here. Where it cannot, the user's own setting (`rerun analytics disable`) holds.
+    """
+    if sys.platform != "linux":
+        return dict(os.environ)
+    environment = {**os.environ, "XDG_CONFIG_HOME": str(home)}
+    words = [str(_PROGRAM), "analytics", "disable"]
+    subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, env=environment, check=True)  # noqa: S603
+    return environment
+
+
+def _free_port(wanted: int) -> int:
+    """The wanted port of loopback if it is free, else one that is."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((LOOPBACK, wanted))
+        except OSError:
+            probe.bind((LOOPBACK, 0))
+        return probe.getsockname()[1]
