@@ -1,11 +1,11 @@
 """Logs of exploration, in MCAP: the front door to writing and reading them.
 
 The layout is in docs/data-format.md. `LogWriter` writes, `resume_writer` goes on where a killed one left off,
-`open_log` checks and reads; most other modules are how they do it: the container, the messages, the encoding. `replay`,
-`info` and `repair` are what the `gym-open log` commands do.
+`open_log` checks and reads, `open_whole_part` takes what is whole of a damaged log; most other modules are how they do
+it: the container, the messages, the encoding. `replay`, `info` and `repair` are what the `gym-open log` commands do.
 """
 
-from gym_open.formats.logs.reader import Log, log_files, open_log, open_logs
+from gym_open.formats.logs.reader import Log, found_files, log_files, open_log, open_logs, open_whole_part
 from gym_open.formats.logs.resume import resume_writer
 from gym_open.formats.logs.schemas import (
     Keyframe,
@@ -31,9 +31,11 @@ __all__ = [
     "StepRecord",
     "Stuck",
     "Switch",
+    "found_files",
     "log_files",
     "log_name",
     "open_log",
     "open_logs",
+    "open_whole_part",
     "resume_writer",
 ]

@@ -50,9 +50,10 @@ class Logged(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Where a chunk lies and how many messages of each channel number it holds."""
+    """Where a chunk lies, the time of its first message, and how many of each channel number it holds."""
 
     offset: int
+    time: int
     counts: dict[int, int]
 
 
@@ -172,7 +173,7 @@ def read_head(path: Path) -> Contents:
 def _note(record: _Record, contents: Contents) -> None:
     stream = ReadDataStream(BytesIO(record.data))
     if record.opcode == Opcode.CHUNK:
-        contents.chunks.append(Place(record.offset, {}))
+        contents.chunks.append(Place(record.offset, _UNPACKED.unpack_from(record.data)[0], {}))
     elif record.opcode == Opcode.MESSAGE:
         raise ValueError("a message outside of the chunks, where no CRC of a chunk covers it")
     elif record.opcode == Opcode.MESSAGE_INDEX:

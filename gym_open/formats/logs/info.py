@@ -12,8 +12,9 @@ from gym_open import progress
 from gym_open.errors import GymOpenError
 from gym_open.formats.logs import schemas
 from gym_open.formats.logs.container import Damage, Logged, read_head, scan, whole_chunks
+from gym_open.formats.logs.logfile import LogFile, parse_head
 from gym_open.formats.logs.messages import decode_segment, decode_stuck, decode_switch
-from gym_open.formats.logs.reader import LogFile, found_files, parse_head
+from gym_open.formats.logs.reader import found_files
 from gym_open.formats.logs.schemas import LogError, LogHead, Stuck, Switch
 from gym_open.terminal import markup
 

@@ -15,11 +15,12 @@ from gym_open.errors import GymOpenError
 from gym_open.formats.logs import schemas
 from gym_open.formats.logs.cdr import CdrReader
 from gym_open.formats.logs.container import Damage, Logged, first_number, read_head, scan, whole_chunks
+from gym_open.formats.logs.logfile import parse_head
 from gym_open.formats.logs.messages import PIXELS, decode_switch
 from gym_open.formats.logs.parts import LogParts
-from gym_open.formats.logs.reader import UNFINISHED, open_log, parse_head
+from gym_open.formats.logs.reader import UNFINISHED, open_log
 from gym_open.formats.logs.schemas import LogError, LogHead, SegmentStart, Switch, UnfinishedError, log_name
-from gym_open.formats.logs.segments import decode_record, groups
+from gym_open.formats.logs.segments import decode_record, groups, is_complete
 
 _NO_LIMIT = sys.maxsize
 """Bytes at which a file would roll: a repaired one does not."""
@@ -138,13 +139,7 @@ def _complete(path: Path, bar: progress.Bar) -> Iterator[list[Logged]]:
         held = group
         if group[0].topic == schemas.SEGMENT:
             pictures = pictures or {message.topic for message in group} & set(PIXELS)
-    needed = {
-        schemas.SEGMENT: pictures,
-        schemas.STEP: pictures | {schemas.METRICS},
-        schemas.SWITCH: {schemas.EVENTS},
-        schemas.STUCK: {schemas.EVENTS},
-    }
-    if held and needed[held[0].topic] <= {message.topic for message in held}:
+    if held and is_complete(held, pictures):
         yield held
 
 

@@ -1,6 +1,6 @@
 """Messages of a stream, put together to records, and records to segments of any length that a reader asks for."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 
 import numpy as np
 
@@ -39,6 +39,22 @@ def groups(messages: Iterable[Logged]) -> Iterator[list[Logged]]:
             group.append(message)
     if group:
         yield group
+
+
+def is_complete(group: list[Logged], pictures: Collection[str]) -> bool:
+    """Whether nothing is missing of a record's messages: of the last one before a damage, something may be.
+
+    Args:
+        group: as `groups` has them.
+        pictures: topics of the pictures that the log has.
+    """
+    needed = {
+        schemas.SEGMENT: {*pictures},
+        schemas.STEP: {*pictures, schemas.METRICS},
+        schemas.SWITCH: {schemas.EVENTS},
+        schemas.STUCK: {schemas.EVENTS},
+    }
+    return needed[group[0].topic] <= {message.topic for message in group}
 
 
 def decode_record(group: list[Logged], pool: tuple[Puzzle, ...]) -> Record:

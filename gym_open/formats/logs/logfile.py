@@ -1,0 +1,222 @@
+"""One file of a log: its bytes checked, what it says about itself, and its messages."""
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from itertools import chain
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+
+from gym_open.envs.puzzles import Puzzle
+from gym_open.errors import GymOpenError
+from gym_open.formats.logs import schemas
+from gym_open.formats.logs.cdr import CdrReader
+from gym_open.formats.logs.container import (
+    Contents,
+    Damage,
+    Logged,
+    Place,
+    read_chunk,
+    read_head,
+    scan,
+    whole_chunks,
+)
+from gym_open.formats.logs.schemas import LogError, LogHead
+
+RESTORE = "restore the file from a copy, or run the `gym-open collect` command that wrote it again (it goes on)"
+REPAIR = f"{RESTORE}, or save what is whole with `gym-open log repair`"
+"""The remedy where there is something that can be saved."""
+MAX_NESTING = 64
+"""Levels of lists and tables that a configuration may have: ours have three, and Python gives up at some thousand."""
+
+
+class LogFile(NamedTuple):
+    """One file of a log, every byte of it checked."""
+
+    path: Path
+    contents: Contents
+    head: LogHead
+    part: int
+    goes_on: bool
+    """Whether the stream goes on in a further part."""
+
+    def count(self, topic: str) -> int:
+        """Number of messages of a topic."""
+        return sum(place.counts.get(self._channel(topic), 0) for place in self.contents.chunks)
+
+    def _channel(self, topic: str) -> int:
+        return next((number for number, name in self.contents.topics.items() if name == topic), -1)
+
+    def messages(self, *topics: str) -> Iterator[Logged]:
+        """Messages in the order of writing, or only those of some topics: that spares unpacking other chunks.
+
+        Raises:
+            LogError: if a chunk is damaged.
+        """
+        wanted = {self._channel(topic) for topic in topics}
+        for place in self.contents.chunks:
+            if not wanted or wanted & set(place.counts):
+                yield from (message for message in self._chunk(place) if not topics or message.topic in topics)
+
+    def messages_from(self, step: int) -> Iterator[Logged] | None:
+        """Messages from the last keyframe on that stands at or before a step of the stream; None if there is none.
+
+        Of the chunks before it, at most a few are unpacked.
+
+        Raises:
+            LogError: if a chunk is damaged.
+        """
+        time, places = step * schemas.STEP_NS, self.contents.chunks
+        for number in reversed(range(len(places))):
+            if places[number].time > time or self._channel(schemas.SEGMENT) not in places[number].counts:
+                continue
+            chunk = self._chunk(places[number])
+            frames = [i for i, one in enumerate(chunk) if one.topic == schemas.SEGMENT and one.time <= time]
+            if frames:
+                later = (message for place in places[number + 1 :] for message in self._chunk(place))
+                return chain(chunk[frames[-1] :], later)
+        return None
+
+    def _chunk(self, place: Place) -> list[Logged]:
+        try:
+            return list(read_chunk(self.path, place, self.contents.topics))
+        except Damage as damage:
+            raise damaged(self.path, damage) from None
+
+
+def open_file(path: Path) -> LogFile:
+    """Check the one file at `path`, every byte of it.
+
+    Raises:
+        LogError: if it is missing, cut off, damaged, or not a log of this format.
+    """
+    file, damage = open_whole_chunks(path)
+    if damage is not None:
+        raise damaged(path, damage)
+    return file
+
+
+def open_whole_chunks(path: Path) -> tuple[LogFile, Damage | None]:
+    """Check the one file at `path`, every byte of it; of a damaged one, what stands before the damage.
+
+    Raises:
+        LogError: if it is missing, not a log of this format, or damaged before its first message.
+    """
+    if not path.is_file():
+        raise LogError(f"{path}: no such log; make one with `gym-open collect`")
+    try:
+        before = read_head(path)
+        parse_head(before)  # before all of a large file is read that is not ours
+        contents, damage = scan(path)
+        if damage is not None:
+            contents = _before_damage(path, contents, damage, before)
+        head, part = parse_head(contents)
+        if damage is None:
+            _check_channels(contents)
+        following = contents.metadata.get(schemas.CONTINUES)
+        if following not in (None, {"part": str(part + 1)}):
+            raise ValueError(f"part {part} goes on in {following}, expected part {part + 1}")
+    except Damage as damage:
+        raise damaged(path, damage) from None
+    except (ValueError, KeyError, GymOpenError) as error:
+        raise foreign(path, error) from None
+    return LogFile(path, contents, head, part, goes_on=following is not None), damage
+
+
+def _before_damage(path: Path, found: Contents, damage: Damage, head: Contents) -> Contents:
+    """The head, and the chunks before the damage. The channels are named in the first one, and behind the damage."""
+    places = [place for place in found.chunks if place.offset < damage.offset]
+    topics: dict[int, str] = {}
+    for place in places[:1]:
+        list(read_chunk(path, place, topics))
+    if places:  # the index of the last chunk may be gone
+        messages = list(read_chunk(path, places[-1], topics))
+        numbers = {topic: number for number, topic in topics.items()}
+        places[-1] = places[-1]._replace(counts=Counter(numbers[message.topic] for message in messages))
+    return head._replace(chunks=places, channels={number: (topic, 0) for number, topic in topics.items()})
+
+
+def parse_head(contents: Contents) -> tuple[LogHead, int]:
+    """What a file says about itself, and the number of its part.
+
+    Raises:
+        ValueError, KeyError, GymOpenError: if it is of another format, or something in it is not as it should be.
+    """
+    try:
+        return _parse_head(contents)
+    except RecursionError:
+        raise ValueError("JSON in it is nested too deeply; refused") from None
+
+
+def _parse_head(contents: Contents) -> tuple[LogHead, int]:
+    head = contents.metadata.get(schemas.HEAD, {})
+    if head.get("format") != schemas.FORMAT:
+        raise ValueError(f"expected the format {schemas.FORMAT!r}, got {head.get('format')!r}")
+    expected = {schemas.CONFIG, schemas.MODEL, schemas.POOL}
+    if set(contents.attachments) != expected:
+        raise ValueError(f"expected the attachments {sorted(expected)}, got {sorted(contents.attachments)}")
+    if (step_ns := _number(head, "step_ns")) != schemas.STEP_NS:
+        raise ValueError(f"step_ns: expected {schemas.STEP_NS}, got {step_ns}")
+    pool = msgspec.json.decode(contents.attachments[schemas.POOL], type=list[msgspec.Raw])
+    config = msgspec.json.decode(contents.attachments[schemas.CONFIG], type=dict[str, Any])
+    _check_nesting(config)
+    return LogHead(
+        stream=_number(head, "stream"),
+        config=config,
+        puzzles=tuple(Puzzle.from_json(bytes(raw)) for raw in pool),
+        provenance=contents.metadata.get(schemas.PROVENANCE, {}),
+        model_xml=contents.attachments[schemas.MODEL].decode(),
+        reward_parts=msgspec.json.decode(head["reward_parts"], type=tuple[str, ...]),
+        keyframe_every=_number(head, "keyframe_every", least=1),
+    ), _number(head, "part")
+
+
+def _check_nesting(value: Any) -> None:
+    """Raises RecursionError as the decoder does, before something else would."""
+    level = [value]
+    for _ in range(MAX_NESTING):
+        level = [item for one in level if isinstance(one, dict | list) for item in _items(one)]
+    if level:
+        raise RecursionError
+
+
+def _items(value: dict[str, Any] | list[Any]) -> Iterable[Any]:
+    return value.values() if isinstance(value, dict) else value
+
+
+def _number(head: dict[str, str], name: str, *, least: int = 0) -> int:
+    """Raises ValueError if it is not there as our writers put it, KeyError if not at all."""
+    text = head[name]
+    number = int(text) if text.isdecimal() else -1
+    if not (least <= number < 2**31 and str(number) == text):
+        raise ValueError(f"{name}: expected a whole number from {least} on, got {text!r}")
+    return number
+
+
+def _check_channels(contents: Contents) -> None:
+    """Raises ValueError if the file does not name our topics, each with the type of its messages, and no other."""
+    found = {topic: contents.schemas.get(schema) for topic, schema in contents.channels.values()}
+    for topic in found | schemas.DEFINITIONS:
+        if topic not in found or found[topic] != schemas.DEFINITIONS.get(topic):
+            raise ValueError(f"the messages of {topic!r} are not of the type that {schemas.FORMAT!r} has for them")
+
+
+def foreign(path: Path, error: Exception) -> LogError:
+    """The error that says that a file is none of ours."""
+    remedy = "give a file that `gym-open collect` of this version wrote"
+    return LogError(f"{path}: not a log of gym-open, or of another version: {error}; {remedy}")
+
+
+def damaged(path: Path, damage: Damage) -> LogError:
+    """The error that says where a file is damaged and how much before it is whole."""
+    last = _last_whole_step(path, damage.offset)
+    whole = f"no step before it is whole; {RESTORE}" if last is None else f"the last whole step is {last}; {REPAIR}"
+    return LogError(f"{path}: damaged at byte {damage.offset}: {damage.what}; {whole}")
+
+
+def _last_whole_step(path: Path, end: int) -> int | None:
+    last: bytes | None = None
+    for chunk in whole_chunks(path, end):
+        last = next((message.data for message in reversed(chunk) if message.topic == schemas.STEP), last)
+    return None if last is None else CdrReader(last).integer("Q")
