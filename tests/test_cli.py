@@ -1,5 +1,6 @@
 """The command line: help with an example everywhere, wrong use refused by name, exit codes."""
 
+import os
 import shlex
 import subprocess
 import sys
@@ -71,6 +72,27 @@ def test_wrong_use_ends_with_2_and_says_why(
 ) -> None:
     assert main([word.replace("WORKSPACE", str(root)) for word in words]) == 2
     assert said in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("collect", "no such configuration file"), ("viz", "nothing to look at"), ("run", "not a workspace")],
+)
+def test_a_command_alone_outside_of_a_workspace_says_what_it_wants(
+    name: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main([name]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_who_stops_reading_sees_no_error() -> None:
+    read, write = os.pipe()
+    os.close(read)
+    words = [sys.executable, "-m", "gym_open.cli", "puzzle", "show", "tool-use/000"]
+    done = subprocess.run(words, stdout=write, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(write)
+    assert (done.returncode, done.stderr) == (1, "")
 
 
 def test_options_that_do_not_go_together_are_told_by_name(root: Path, capsys: pytest.CaptureFixture[str]) -> None:

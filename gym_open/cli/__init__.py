@@ -3,6 +3,8 @@
 Slow libraries (torch, mujoco, lerobot, rerun) are imported when a sub-command runs, so that `--help` answers at once.
 """
 
+import itertools
+import os
 import sys
 from collections.abc import Sequence
 from dataclasses import MISSING, fields
@@ -12,7 +14,7 @@ from typing import Any, get_type_hints
 import tyro
 
 import gym_open
-from gym_open.cli import datasets, logs, results, stages, world
+from gym_open.cli import datasets, logs, results, stages, viz, world
 from gym_open.cli.base import Command
 from gym_open.config import check, load
 from gym_open.envs.look.backend import check_backend
@@ -45,7 +47,7 @@ COMMANDS: dict[str, type[Command]] = {
     "score verify": results.ScoreVerify,
     "benchmark": results.Benchmark,
     "report": results.Report,
-    "viz": stages.Viz,
+    "viz": viz.Viz,
     "puzzle show": world.PuzzleShow,
     "puzzle verify": world.PuzzleVerify,
     "render sheet": world.RenderSheet,
@@ -80,6 +82,9 @@ def _run(name: str, words: list[str]) -> int:
     except GymOpenError as error:
         print(f"error: {printable(str(error))}", file=sys.stderr)
         return error.exit_code
+    except BrokenPipeError:  # what reads our words, `head` for instance, has had enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     except OSError as error:
         print(printable(f"error: {error.filename or 'a file'}: {error.strerror or error}"), file=sys.stderr)
         return 1
@@ -97,8 +102,10 @@ def _parse(name: str, words: list[str]) -> Command:
     root = Path(_value(words, "--workspace") or ".")
     file = Path(_value(words, "--config") or root / kind.default)
     settings_type = get_type_hints(kind)["settings"]
-    asks_help = any(word in ("-h", "--help") for word in words)
-    settings = settings_type() if asks_help and not file.is_file() else load(file, settings_type)
+    optional = any(word in ("-h", "--help") for word in words) or not (
+        kind.needs_workspace or _value(words, "--config")
+    )
+    settings = settings_type() if optional and not file.is_file() else load(file, settings_type)
     given: dict[str, Any] = {"settings": settings, "workspace": root, "config": file}
     required = {f.name: tyro.MISSING for f in fields(kind) if f.default is MISSING and f.name not in given}
     try:
@@ -112,7 +119,7 @@ def _parse(name: str, words: list[str]) -> Command:
 def _value(words: Sequence[str], option: str) -> str | None:
     """What the option is given last, as the parser has it."""
     found = None
-    for word, following in zip(words, [*words[1:], None], strict=True):
+    for word, following in itertools.pairwise([*words, ""]):
         if word == option:
             found = following
         elif word.startswith(f"{option}="):

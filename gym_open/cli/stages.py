@@ -12,9 +12,8 @@ from gym_open.cli.base import Command, out, report, say
 from gym_open.collect.config import CollectConfig
 from gym_open.config import Config
 from gym_open.evaluate.config import EvaluateConfig
-from gym_open.summary import probe_table, proof_text, score_table, short, word
+from gym_open.summary import probe_table, proof_text, score_table, word
 from gym_open.train.config import EncoderTrainConfig, PolicyTrainConfig, ProbeConfig
-from gym_open.viz.config import VizConfig
 
 C = TypeVar("C", bound=Config)
 Settings = Annotated[C, tyro.conf.arg(name="")]
@@ -32,6 +31,8 @@ class StageCommand(Command):
     """TOML file that the settings start from."""
 
     default: ClassVar[str]
+    needs_workspace: ClassVar[bool] = True
+    """Whether it is wrong use where there is no `default` and no --config."""
 
     def place(self, given: Path | None, folder: str, name: str | None = None) -> Path:
         """Where to write: the path given, or `folder` of the workspace and a name (the configuration's)."""
@@ -198,30 +199,6 @@ class Evaluate(StageCommand):
         name += "" if self.at is None else f"-at{self.at}"
         name += "-greedy" if self.policy and self.settings.actions == "greedy" else ""
         return name + ("" if self.settings.split == "test" else f"-{self.settings.split}")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Viz(StageCommand):
-    """Write a Rerun recording of a log, a release, or a model's learning curves.
-
-    Example: gym-open viz collect/logs/curl-ride --save play.rrd   (then: rerun play.rrd)
-    """
-
-    source: Annotated[Path, tyro.conf.Positional]
-    """Folder of logs, one .mcap file, a release, an encoder or a policy."""
-    settings: Settings[VizConfig]
-    save: Path
-    """The .rrd file to write."""
-
-    default = "viz/default.toml"
-    about = "a Rerun recording of a log, a release or a model"
-
-    def run(self) -> None:
-        """Write the recording."""
-        from gym_open.viz.recording import visualize
-
-        path = visualize(self.settings, self.source, self.save)
-        say(f"{short(path)}  ({path.stat().st_size / 1e6:.1f} MB)\n  next: rerun {word(path)}", verb="made")
 
 
 @dataclass(frozen=True, kw_only=True)
