@@ -13,7 +13,7 @@ import threading
 import time
 from _thread import interrupt_main
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -33,6 +33,8 @@ WEB_PORT, DATA_PORT = 9090, 9876
 """Of the page and of its data, as Rerun has them; another free one where they are taken."""
 _PATIENCE = 30.0
 """Seconds until Rerun's program listens."""
+_GRACE = 5.0
+"""Seconds in which it may end."""
 _PROGRAM = Path(rerun_cli.__file__).with_name("rerun")
 _OTHER_WAYS = "--save FILE.rrd, --web, --video FILE.mp4 or --png FILE.png need no display"
 
@@ -166,6 +168,8 @@ class _Program:
         except KeyboardInterrupt:
             pass  # the usual end, also of a window that is closed while it fills
         except _LostError as error:
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(_GRACE)  # the connection is cut a moment before it has ended
             if self._process.poll() is None:
                 raise GymOpenError(f"Rerun's viewer takes no data ({error}); run the same command again") from None
         if self._process.poll():
@@ -206,7 +210,7 @@ class _Program:
     def _end(self) -> None:
         self._process.terminate()
         try:
-            self._process.wait(5)
+            self._process.wait(_GRACE)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
