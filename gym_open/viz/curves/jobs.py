@@ -1,0 +1,93 @@
+"""How far a benchmark is, from what lies in its folder: it may be at work, or have been stopped half-way."""
+
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from gym_open import artefacts
+from gym_open.progress import Progressed
+from gym_open.viz.words import cell, table
+
+FOLDER = "jobs"
+State = Literal["done", "at work", "stopped", "not begun"]
+_STAGES = {
+    "collect": "collect/logs", "release": "datasets/open", "encoder": "train/encoders", "probe": "train/probes",
+    "policy": "train/policies", "score": "evaluate/scores",
+}  # fmt: skip
+"""First word of a job's name, and where its artefact lies."""
+_STALE_S = 600.0
+"""Seconds after which a job that has said nothing is taken as stopped."""
+_TAIL = 10_000
+"""Bytes at the end of a job's output in which an error is looked for."""
+
+
+class Job(NamedTuple):
+    """One job of a benchmark."""
+
+    name: str
+    stage: str
+    state: State
+    words: str
+    """How far it is, or why it stopped."""
+
+
+def jobs_of(folder: Path) -> list[Job]:
+    """The jobs of the benchmark in `folder`, by stage and name; none if it is no benchmark's folder."""
+    names = sorted(path.stem for path in (folder / FOLDER).glob("*.toml"))
+    stages = list(_STAGES)
+    return sorted((_job(folder, name) for name in names), key=lambda job: (stages.index(job.stage), job.name))
+
+
+def folder_of(root: Path, name: str) -> Path:
+    """Where the artefact of a benchmark's job lies."""
+    stage = _stage(name)
+    below = root / _STAGES[stage]
+    if stage == "encoder":
+        return below / name
+    rest = name.removeprefix(f"{stage}-")
+    return below / rest / "1.0.0" if stage == "release" else below / rest
+
+
+def _stage(name: str) -> str:
+    """What else it is called, an encoder's job is called as the file of its configuration is."""
+    first = name.partition("-")[0]
+    return first if first in _STAGES else "encoder"
+
+
+def _job(root: Path, name: str) -> Job:
+    folder, stage = root / FOLDER, _stage(name)
+    if (folder_of(root, name) / artefacts.MANIFEST).is_file():
+        return Job(name, stage, "done", "")
+    progress, output = folder / f"{name}.progress", folder / f"{name}.log"
+    try:
+        if (said := Progressed.read(progress)) and _is_fresh(progress):
+            return Job(name, stage, "at work", f"{said.done:,} of {said.total:,}, {said.rate:,.1f}/s")
+        with output.open("rb") as file:
+            file.seek(max(output.stat().st_size - _TAIL, 0))
+            lines = file.read().decode(errors="replace").splitlines()
+    except OSError:
+        return Job(name, stage, "not begun", "")
+    errors = [line.strip("│ ").removeprefix("error: ") for line in lines if line.strip("│ ").startswith("error: ")]
+    if not errors and _is_fresh(output):
+        return Job(name, stage, "at work", "begins")
+    return Job(name, stage, "stopped", errors[-1] if errors else "its output tells no error")
+
+
+def _is_fresh(path: Path) -> bool:
+    return time.time() - path.stat().st_mtime < _STALE_S
+
+
+def document(jobs: list[Job]) -> str:
+    """Markdown: how many jobs of each stage are how far, and which are at work or were stopped."""
+    states: tuple[State, ...] = ("done", "at work", "stopped", "not begun")
+    counts = Counter((job.stage, job.state) for job in jobs)
+    rows = [
+        [stage, *(str(counts[stage, state]) for state in states)] for stage in dict.fromkeys(job.stage for job in jobs)
+    ]
+    rows.append(["**all**", *(str(sum(job.state == state for job in jobs)) for state in states)])
+    lines = ["# Jobs", "", *table(["stage", *states], rows)]
+    for state in ("at work", "stopped"):
+        shown = [f"- {cell(job.name)}: {cell(job.words, 300)}" for job in jobs if job.state == state]
+        lines += ["", f"## {state.capitalize()}", "", *shown] if shown else []
+    return "\n".join(lines)

@@ -1,0 +1,66 @@
+"""How curves are laid out on the screen."""
+
+from collections.abc import Mapping, Sequence
+
+import rerun.blueprint as rrb
+
+from gym_open.terminal import printable
+from gym_open.viz.curves.drawing import TIMELINE, path
+
+Span = tuple[float, float] | None
+
+
+def blueprint(
+    tasks: Mapping[str, Mapping[str, Span]], encoders: Mapping[str, Sequence[str]], figures: Mapping[str, str],
+    documents: Mapping[str, str],
+) -> rrb.Blueprint:  # fmt: skip
+    """A tab a task, then one for encoders, one for probes, and one for each document.
+
+    Args:
+        tasks: of each, the plots that there are (`score`, `return`, `training`) with the range of their numbers,
+            None for their own, and `about` if there is a document.
+        encoders: columns of the curves of each world model.
+        figures: titles of the probes' figures, by entity.
+        documents: entities of further documents, by title.
+    """
+    tabs: list[rrb.Container | rrb.View] = [_task(task, kinds) for task, kinds in tasks.items()]
+    models = [_encoders(model, columns) for model, columns in encoders.items()]
+    tabs += [rrb.Tabs(*models, name="encoders")] if models else []
+    probes = [rrb.Spatial2DView(origin=entity, name=printable(title)) for entity, title in figures.items()]
+    tabs += [rrb.Grid(*probes, name="probes")] if probes else []
+    tabs += [rrb.TextDocumentView(origin=entity, name=title) for title, entity in documents.items()]
+    return rrb.Blueprint(
+        rrb.Tabs(*tabs),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE),
+        rrb.SelectionPanel(state="collapsed"),
+        auto_views=False,
+    )
+
+
+def _task(task: str, kinds: Mapping[str, Span]) -> rrb.Container:
+    """Plots beside one another, and the document as the fourth or below them."""
+    titles = {
+        "score": "A-Success against steps of fine-tuning",
+        "return": "mean return within so many actions",
+        "training": "mean return of training episodes against steps of fine-tuning",
+    }
+    plots = [_plot(title, path(kind, task), kinds[kind]) for kind, title in titles.items() if kind in kinds]
+    about = rrb.TextDocumentView(origin=path("about", "task", task), name="scores")
+    if "about" not in kinds:
+        return rrb.Grid(*plots, name=printable(task))
+    if len(plots) % 2:
+        return rrb.Grid(*plots, about, grid_columns=2, name=printable(task))
+    return rrb.Vertical(rrb.Horizontal(*plots), about, row_shares=[3, 2], name=printable(task))
+
+
+def _encoders(model: str, columns: Sequence[str]) -> rrb.Grid:
+    views = [
+        _plot(f"{column.replace('_', ' ')} against updates", path("encoder", model, column), None) for column in columns
+    ]
+    return rrb.Grid(*views, name=printable(model))
+
+
+def _plot(title: str, entity: str, span: Span) -> rrb.TimeSeriesView:
+    axis = rrb.ScalarAxis(range=span) if span else None  # an empty one makes Rerun warn
+    legend = rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=True)
+    return rrb.TimeSeriesView(origin=entity, name=printable(title), plot_legend=legend, axis_y=axis)

@@ -1,0 +1,59 @@
+"""How features are laid out on the screen."""
+
+from collections.abc import Sequence
+
+import rerun.blueprint as rrb
+
+from gym_open.viz.features.drawing import COLOURINGS, TIMELINE
+
+_MARKS = ("axes", "titles", "near", "here")
+
+
+def blueprint(names: Sequence[str], *, curve: bool) -> rrb.Blueprint:
+    """The picture and its neighbours on the left, on the right a tab a colouring; further tabs for what is said.
+
+    Args:
+        names: of the encoders, a column each.
+        curve: whether there is a training curve to show.
+    """
+    clouds = [
+        rrb.Grid(
+            *(_plane(name, colouring, key) for name in names),
+            *(_space(name, colouring) for name in names),
+            grid_columns=len(names),
+            name=f"by {title}",
+        )
+        for colouring, (title, key) in COLOURINGS.items()
+    ]
+    shown = rrb.Vertical(
+        rrb.Spatial2DView(origin="/shown", name="frame, and nearest to it in features"),
+        rrb.TextDocumentView(origin="/shown/words", name="what they are of"),
+        row_shares=[3, 2],
+    )
+    tabs = [
+        rrb.Horizontal(shown, rrb.Tabs(*clouds), column_shares=[2, 5], name="features"),
+        rrb.TextDocumentView(origin="/about/features", name="in numbers"),
+        rrb.Spatial2DView(origin="/about/variance", name="variance explained"),
+    ]
+    if curve:
+        tabs.append(rrb.Spatial2DView(origin="/about/learning", name="training curves"))
+    return rrb.Blueprint(
+        rrb.Tabs(*tabs),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, sequence_cursor=0, fps=2.0),
+        rrb.SelectionPanel(state="collapsed"),
+        auto_views=False,
+    )
+
+
+def _contents(name: str, kind: str, colouring: str) -> list[str]:
+    return [f"/{name}/{kind}/{part}" for part in (colouring, *_MARKS)]
+
+
+def _plane(name: str, colouring: str, key: str) -> rrb.Spatial2DView:
+    contents = _contents(name, "plane", colouring)
+    return rrb.Spatial2DView(origin=f"/{name}/plane", contents=contents, name=f"{name}, PC 1 and 2: {key}")
+
+
+def _space(name: str, colouring: str) -> rrb.Spatial3DView:
+    contents, grid = _contents(name, "space", colouring), rrb.LineGrid3D(visible=False)
+    return rrb.Spatial3DView(origin=f"/{name}/space", contents=contents, name=f"{name}, PC 1 to 3", line_grid=grid)
