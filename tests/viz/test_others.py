@@ -1,0 +1,91 @@
+"""What others' viewers make of our files: Rerun's own loader of logs, LeRobot's viewer of releases."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rerun as rr
+
+from gym_open.datasets.build import build_release
+from gym_open.datasets.config import ReleaseConfig
+from gym_open.formats.logs.reader import log_files, open_logs
+from gym_open.formats.releases import open_release
+
+PROGRAM = [sys.executable, "-m", "rerun_cli"]
+
+
+def column(recording: "rr.dataframe.Recording", index: str, entity: str, component: str) -> list[Any]:
+    """Values of a component that is logged once a moment."""
+    table = recording.view(index=index, contents=entity).select(index, f"{entity}:{component}").read_all()
+    return [value[0] for value in table.column(1).to_pylist() if value is not None]
+
+
+@pytest.fixture(scope="module")
+def log(make_log: Callable[..., Path]) -> Path:
+    return make_log(lengths=((5, 12),), reward_parts=("forward",))
+
+
+def test_reruns_own_loader_shows_pictures_figures_and_words(log: Path, tmp_path: Path) -> None:
+    ((file,),) = log_files(log)
+    words = [*PROGRAM, "mcap", "convert", str(file), "-o", str(tmp_path / "theirs.rrd")]
+    subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, check=True, timeout=60)
+    theirs = rr.dataframe.load_recording(str(tmp_path / "theirs.rrd"))
+    segments = list(open_logs(log)[0].segments())
+
+    pictures = column(theirs, "log_time", "/observation/image", "Image:buffer")
+    ours = np.concatenate([segments[0].images[:-1], segments[1].images])  # of two of one moment, the later is shown
+    assert np.array_equal(np.array(pictures, np.uint8).reshape(-1, 84, 84, 3), ours)
+    view = theirs.view(index="log_time", contents="/metrics/position")
+    table = view.select("/metrics/position:Scalars:scalars", "/metrics/position:SeriesLines:names").read_all()
+    names = ["intrinsic_reward", "world_model_loss", "policy_entropy", "value", "intrinsic_reward/forward"]
+    assert [row for row in table.column(1).to_pylist() if row] == [names] * 17
+    rows = np.array([row for row in table.column(0).to_pylist() if row])
+    for name, numbers in zip(names[:4], rows.T, strict=False):
+        expected = np.concatenate([getattr(segment, name) for segment in segments])
+        assert np.array_equal(numbers, expected)
+    events = column(theirs, "log_time", "/events", "TextDocument:text")
+    assert events == [
+        "step 0: world -1 -> 0 (start)", "step 5: world 0 -> 1 (learned)", "step 17: world 1 -> -1 (budget)",
+    ]  # fmt: skip
+    steps = column(theirs, "log_time", "/step", "gym_open_msgs.msg.Step:message")
+    assert [step["action"] for step in steps] == np.concatenate([item.actions for item in segments]).tolist()
+
+
+LEROBOT = """
+import sys
+from pathlib import Path
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from lerobot.scripts.lerobot_dataset_viz import visualize_dataset
+root, out = map(Path, sys.argv[1:])
+visualize_dataset(LeRobotDataset("open/explore", root=root, episodes=[1]), 1, save=True, output_dir=out)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("no_figures")
+def test_lerobots_viewer_shows_pictures_actions_and_the_agents_state(log: Path, tmp_path: Path) -> None:
+    release = build_release(ReleaseConfig(max_episode_steps=256), [log], tmp_path / "release").path
+    subprocess.run(
+        [sys.executable, "-c", LEROBOT, str(release), str(tmp_path)],
+        check=True,
+        timeout=280,
+        capture_output=True,
+        env={**os.environ, "HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path / "hf")},
+    )
+    theirs = rr.dataframe.load_recording(str(tmp_path / "open_explore_episode_1.rrd"))
+    ours = open_release(release)
+    first, stop = ours.episodes[["dataset_from_index", "dataset_to_index"]].to_numpy()[1].tolist()
+    frames = np.arange(first, stop)
+    pictures = column(theirs, "frame_index", "/observation.image", "Image:buffer")
+    assert np.array_equal(np.array(pictures, np.uint8).reshape(-1, 84, 84, 3), ours.images(frames))
+    numbers = ours.numbers(first, stop)
+    for entity, name, width in (("action", "action", 9), ("state", "observation.state", 13)):
+        drawn = [column(theirs, "frame_index", f"/{entity}/{i}", "Scalars:scalars") for i in range(width)]
+        assert np.array_equal(np.array(drawn, np.float32).T, numbers[name])
+    for name in ("next.reward", "next.done"):
+        assert set(column(theirs, "frame_index", f"/{name}", "Scalars:scalars")) == {0.0}
