@@ -6,13 +6,16 @@ from gym_open.config import Config, PositiveInt
 class VizConfig(Config, frozen=True):
     """Anything that gym-open makes, as a Rerun recording.
 
-    Thinned by one rule: of a stream of n steps every k-th is shown, k = ceil(n / limit), and every first step of a
-    segment, or of a piece of a long one. Reward, loss and other series are always whole.
+    Play is thinned by one rule. Of the n steps of a stream that are to be shown, those are whose number in the stream is
+    divisible by k = ceil(n / limit), and the first of every segment. Pictures, places and series have a limit each. What
+    is counted over time (coverage) counts every step, shown or not; events, switches and losses of worlds are whole.
     """
 
     max_images: PositiveInt = 2_000
-    """Limit of pictures a stream (about 1 to 3 kB each)."""
+    """Limit of pictures a stream, and of maps of coverage (about 1 to 3 kB each; with depth and segmentation 40 kB)."""
     max_poses: PositiveInt = 20_000
-    """Limit of steps a stream at which the objects' places are shown (about 0.5 kB each)."""
+    """Limit of steps a stream at which objects, contacts and the action's arrow are shown (about 0.5 kB each)."""
+    max_points: PositiveInt = 50_000
+    """Limit of points a stream of each series: reward, loss and all else that is drawn as a curve."""
     trail_steps: PositiveInt = 200
     """Steps of the agent's trail on the table."""

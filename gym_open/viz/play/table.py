@@ -1,4 +1,4 @@
-"""What stands still on the table: top and walls for good; pen, ramp and danger patch of the world in view."""
+"""The table: top and walls for good; pen, ramp and danger patch of the world in view. Metres, as `envs.constants`."""
 
 import numpy as np
 import rerun as rr
@@ -7,11 +7,21 @@ from gym_open.envs import constants as c
 from gym_open.envs.puzzles import SIDES, Puzzle
 
 _FLAT = 0.002
+_RIM = 0.15
+"""Metres of ground that are shown around the table. Rerun 0.26 puts its camera by the size of what there is to see, and
+would cut the table's corners off without it."""
 
 
 def log_table(rec: rr.RecordingStream, entity: str) -> None:
-    """Log the table's top and walls, which no puzzle changes."""
+    """Log the table's top and walls, which no puzzle changes, under `entity`."""
     rec.log(entity, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    ground = rr.Boxes3D(
+        centers=[0, 0, -4 * _FLAT],
+        half_sizes=[c.WALL_X + _RIM, c.WALL_Y + _RIM, _FLAT],
+        colors=c.SCENERY_COLOUR["floor"],
+        fill_mode="solid",
+    )
+    rec.log(f"{entity}/ground", ground, static=True)
     top = rr.Boxes3D(
         centers=[0, 0, -_FLAT],
         half_sizes=[c.WALL_X, c.WALL_Y, _FLAT],

@@ -1,0 +1,42 @@
+"""Rerun's columns: both timelines, and archetypes of which the library itself sends no more than one at a time."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import rerun as rr
+
+from gym_open.envs.constants import CONTROL_DT_S
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+BLUE, SKY, ORANGE, VERMILION, GREEN, PURPLE, YELLOW, GREY = (
+    (0, 114, 178), (86, 180, 233), (230, 159, 0), (213, 94, 0), (0, 158, 115), (204, 121, 167), (240, 228, 66),
+    (150, 150, 150),
+)  # fmt: skip
+"""Colours that colour-blind readers tell apart (Okabe and Ito), and a grey."""
+
+
+def times(steps: Sequence[int] | np.ndarray) -> list[rr.TimeColumn]:
+    """Both timelines, `step` and `sim_time`, at these steps."""
+    row = np.asarray(steps, dtype=np.int64)
+    return [rr.TimeColumn("step", sequence=row), rr.TimeColumn("sim_time", duration=row * CONTROL_DT_S)]
+
+
+class _Rows:
+    """Batches of one component, as one."""
+
+    def __init__(self, batches: Sequence[rr.DescribedComponentBatch]) -> None:
+        self.batches = batches
+
+    def as_arrow_array(self) -> "pa.Array":
+        import pyarrow as pa
+
+        return pa.concat_arrays([batch.as_arrow_array() for batch in self.batches])
+
+
+def tensors(rows: Sequence[rr.Tensor | rr.BarChart]) -> list[rr.ComponentColumn]:
+    """The column of one or more tensors or bar charts, which have none of their own in Rerun 0.26."""
+    batches = [row.as_component_batches()[0] for row in rows]
+    return [rr.ComponentColumn(batches[0].component_descriptor(), _Rows(batches))]

@@ -1,0 +1,108 @@
+"""How play is laid out on the screen: a tab a stream; what is not there has no place."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import rerun.blueprint as rrb
+
+from gym_open.envs.constants import CONTROL_DT_S
+from gym_open.viz.config import VizConfig
+from gym_open.viz.play.coverage import TITLE
+from gym_open.viz.play.pictures import DEPTH, IMAGE, SEGMENTATION
+from gym_open.viz.play.series import has_losses, series_entity
+from gym_open.viz.play.streams import ACTION, CONTACTS, ENTROPY, LOSS, PART, REWARD, VALUE, Stream
+
+
+def blueprint(streams: Sequence[Stream], config: VizConfig) -> rrb.Blueprint:
+    """What was seen and the table on the left, curves in the middle, words on the right."""
+    tabs = [_stream(item, config) for item in streams]
+    return rrb.Blueprint(
+        tabs[0] if len(tabs) == 1 else rrb.Tabs(*tabs, name="streams"),
+        rrb.TimePanel(state="collapsed", timeline="step", sequence_cursor=streams[0].steps.start, fps=25.0),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        auto_views=False,
+    )
+
+
+def _stream(stream: Stream, config: VizConfig) -> rrb.Horizontal:
+    return rrb.Horizontal(
+        _seen(stream, config),
+        rrb.Vertical(*_curves(stream)),
+        _words(stream),
+        column_shares=[4, 4, 3],
+        name=stream.name.replace("_", " "),
+    )
+
+
+def _seen(stream: Stream, config: VizConfig) -> rrb.Vertical:
+    name = f"/{stream.name}"
+    pictures = [rrb.Spatial2DView(origin=f"{name}/{IMAGE}", name="observation")]
+    if stream.depth:
+        pictures.append(rrb.Spatial2DView(origin=f"{name}/{DEPTH}", name="depth (m)"))
+    if stream.segmentation:
+        pictures.append(rrb.Spatial2DView(origin=f"{name}/{SEGMENTATION}", name="segmentation"))
+    mapping = rrb.TensorScalarMapping(colormap="viridis", mag_filter="nearest", gamma=0.5)
+    coverage = rrb.TensorView(
+        origin=f"{name}/coverage", name=TITLE, scalar_mapping=mapping, view_fit="FillKeepAspectRatio"
+    )
+    trailed: dict[Any, Any] = {f"{name}/table/trail": trail(config.trail_steps)}
+    return rrb.Vertical(
+        rrb.Horizontal(*pictures, coverage, column_shares=[*([3] * len(pictures)), 2]),
+        rrb.Spatial3DView(origin=f"{name}/table", name="table", overrides=trailed),
+        row_shares=[2, 3],
+    )
+
+
+def _curves(stream: Stream) -> list[rrb.TimeSeriesView]:
+    """A plot of each group of series of which one is known."""
+    name = f"/{stream.name}"
+    parts = [PART + part for part in stream.reward_parts]
+    known = {
+        series: series_entity(name, series)
+        for series in [REWARD, *parts, LOSS, ENTROPY, VALUE]
+        if series in stream.known
+    }
+    reward = [known[series] for series in (REWARD, *parts) if series in known]
+    views: list[rrb.TimeSeriesView] = []
+    if reward:
+        views.append(_plot("intrinsic reward, and what it is made of", *reward))
+    if LOSS in known:
+        views.append(_plot("world-model loss, and the threshold", known[LOSS], f"{name}/threshold"))
+    views.append(_plot("curriculum: world of the pool, switches", f"{name}/world", f"{name}/switches/**"))
+    if any(map(has_losses, stream.shown_switches())):
+        views.append(_plot("loss of each world, at every switch", f"{name}/world_loss", legend=stream.worlds <= 8))
+    if policy := [known[series] for series in (ENTROPY, VALUE) if series in known]:
+        views.append(_plot("policy: entropy, value", *policy))
+    views.append(_plot("action, contacts", series_entity(name, ACTION), series_entity(name, CONTACTS)))
+    return views
+
+
+def _words(stream: Stream) -> rrb.Vertical:
+    name = f"/{stream.name}"
+    events = rrb.TextLogView(origin=f"{name}/events", name="events")
+    documents = rrb.Tabs(
+        rrb.TextDocumentView(origin=f"{name}/segments", contents=f"{name}/segments", name="segments"),
+        rrb.TextDocumentView(origin=f"{name}/about/settings", name="settings"),
+        rrb.TextDocumentView(origin="/about/lineage", name="lineage"),
+    )
+    if not any(map(has_losses, stream.shown_switches())):
+        return rrb.Vertical(events, documents)
+    bars = rrb.BarChartView(origin=f"{name}/world_losses", name="loss of each world at the last switch")
+    return rrb.Vertical(events, bars, documents, row_shares=[3, 2, 4])
+
+
+def _plot(title: str, *entities: str, legend: bool = True) -> rrb.TimeSeriesView:
+    corner = rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend)
+    return rrb.TimeSeriesView(contents=list(entities), name=title, plot_legend=corner)
+
+
+def trail(steps: int) -> rrb.VisibleTimeRanges:
+    """Show the points of the last `steps` steps together, on either timeline."""
+    now, sooner = rrb.TimeRangeBoundary.cursor_relative, -steps * CONTROL_DT_S
+    return rrb.VisibleTimeRanges(
+        [
+            rrb.VisibleTimeRange("step", start=now(seq=-steps), end=now(seq=0)),
+            rrb.VisibleTimeRange("sim_time", start=now(seconds=sooner), end=now(seconds=0.0)),
+        ]
+    )

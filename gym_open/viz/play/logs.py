@@ -1,0 +1,111 @@
+"""Streams of a log: a folder, finished or not, or one file; of a damaged one, what stands before the damage."""
+
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from gym_open.envs.options import WorldOptions
+from gym_open.envs.physics.contacts import thing_names
+from gym_open.envs.physics.model import build_model, model_xml
+from gym_open.formats.logs import Log, LogError, Segment, found_files, open_whole_part
+from gym_open.formats.pictures import encode_pngs
+from gym_open.viz.play.streams import (
+    ACTION,
+    CONTACTS,
+    ENTROPY,
+    LOSS,
+    PART,
+    PIECE,
+    REWARD,
+    VALUE,
+    Span,
+    Stay,
+    Stream,
+    overlap,
+    stays_of,
+)
+
+_GLANCE = 64
+"""Steps that are read to see what is recorded at all."""
+
+
+def open_streams(source: Path) -> list[Stream]:
+    """The streams of the log at `source`, or the one of a single file; nothing is read but their beginnings.
+
+    Raises:
+        ArtefactError: if there is no log, or one in which no step is whole.
+    """
+    if source.is_file():
+        return [_stream(open_whole_part([source]))]
+    return [_stream(open_whole_part(list(parts.values()))) for parts in found_files(source).values()]
+
+
+def _stream(log: Log) -> Stream:
+    first = next(log.segments(_GLANCE), None)
+    if first is None or not len(first.actions):
+        raise LogError(f"{log.path}: no step of it is whole; there is nothing to see ({log.damage or 'no play in it'})")
+    steps = range(first.first_step, first.first_step + log.n_steps)
+    begun = Stay(first.index, first.world, steps, None, math.nan, math.nan)
+    series = _series(first)
+    return Stream(
+        number=log.stream,
+        steps=steps,
+        config=log.config,
+        worlds=len(log.puzzles),
+        reward_parts=log.reward_parts,
+        switches=log.switches,
+        stays=stays_of(begun, log.switches, steps.stop),
+        known=frozenset(name for name, values in series.items() if not np.isnan(values).all()),
+        spans=lambda wanted: _spans(log, wanted, steps),
+        depth=first.depth is not None,
+        segmentation=first.segmentation is not None,
+        geoms=geom_names() if log.model_xml == model_xml() else (),
+        damage=log.damage,
+    )
+
+
+def geom_names() -> list[str]:
+    """What geoms of the default world's model belong to, by number, such as `agent`, `heavy_3`, `seen_wall_east`."""
+    return thing_names(build_model(WorldOptions()))
+
+
+def _spans(log: Log, wanted: range, all_steps: range) -> Iterator[Span]:
+    for item in log.segments(PIECE, None if wanted == all_steps else wanted):
+        steps = overlap(wanted, range(item.first_step, item.first_step + len(item.actions)))
+        if not steps:
+            continue
+        start, stop = steps.start - item.first_step, steps.stop - item.first_step
+        yield Span(
+            segment=item.index,
+            world=item.world,
+            puzzle=item.puzzle,
+            continued=item.continued,
+            first_step=steps.start,
+            names=item.object_names,
+            states=item.object_state[start : stop + 1],
+            series={name: values[start:stop] for name, values in _series(item).items()},
+            pngs=_encoder(item.images[start : stop + 1]),
+            stuck=[one for one in log.stuck if steps.start < one.step <= steps.stop],
+            begins=steps.start in (wanted.start, item.first_step - item.segment_step),
+            contacts=item.contacts[start:stop],
+            depth=None if item.depth is None else item.depth[start : stop + 1],
+            segmentation=None if item.segmentation is None else item.segmentation[start : stop + 1],
+        )
+
+
+def _series(item: Segment) -> dict[str, np.ndarray]:
+    return {
+        REWARD: item.intrinsic_reward,
+        **{PART + name: values for name, values in item.reward_parts.items()},
+        LOSS: item.world_model_loss,
+        ENTROPY: item.policy_entropy,
+        VALUE: item.value,
+        CONTACTS: np.array([len(step) for step in item.contacts], dtype=np.float64),
+        ACTION: item.actions.astype(np.float64),
+    }
+
+
+def _encoder(images: np.ndarray) -> Callable[[np.ndarray], list[bytes]]:
+    return lambda numbers: encode_pngs(images[numbers])

@@ -1,0 +1,63 @@
+"""What the camera saw: pictures, and depth and segmentation where they are recorded."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import rerun as rr
+
+from gym_open.envs import constants as c
+from gym_open.envs.physics.model import kind_of
+from gym_open.terminal import printable
+from gym_open.viz.play.columns import times
+from gym_open.viz.play.streams import Span
+
+IMAGE, DEPTH, SEGMENTATION = "observation/image", "observation/depth", "observation/segmentation"
+NOTHING = 2**16 - 1
+"""What a pixel of a segmentation holds where no geom is seen; the log's −1."""
+_DEPTH_RANGE = (0.9, 4.6)
+"""Metres from the camera to the nearest corner of the table, and to the ground behind the farthest."""
+
+
+def log_classes(rec: rr.RecordingStream, entity: str, geoms: Sequence[str]) -> None:
+    """Log name and colour of each geom, for the segmentation under `entity`."""
+    classes = [(number, printable(name), _colour(name)) for number, name in enumerate(geoms)]
+    nothing = [(NOTHING, "nothing", (0, 0, 0))]
+    rec.log(f"{entity}/{SEGMENTATION}", rr.AnnotationContext([*classes, *nothing]), static=True)
+
+
+def _colour(name: str) -> tuple[int, int, int]:
+    """Of what a geom belongs to; of scenery by the first word of its name."""
+    kind = kind_of(name) if kind_of(name) in c.COLOUR else name.removeprefix("seen_").split("_", maxsplit=1)[0]
+    return {**c.SCENERY_COLOUR, "corner": c.SCENERY_COLOUR["wall"], **c.COLOUR}.get(kind, (200, 200, 200))
+
+
+def log_pictures(rec: rr.RecordingStream, entity: str, span: Span, numbers: np.ndarray) -> None:
+    """Log the observations of these numbers (0…T) of the span under `entity`; only they are encoded or decoded."""
+    at = times(span.first_step + numbers)
+    images = rr.EncodedImage.columns(blob=span.pngs(numbers), media_type=["image/png"] * len(numbers))
+    rec.send_columns(f"{entity}/{IMAGE}", at, images)
+    if span.depth is not None:
+        shown = span.depth[numbers].astype("<f4")
+        depths = rr.DepthImage.columns(
+            buffer=_bytes(shown),
+            format=_formats(shown, rr.datatypes.ChannelDatatype.F32),
+            meter=[1.0] * len(shown),
+            depth_range=[_DEPTH_RANGE] * len(shown),
+            colormap=[rr.components.Colormap.Viridis] * len(shown),
+        )
+        rec.send_columns(f"{entity}/{DEPTH}", at, depths)
+    if span.segmentation is not None:
+        shown = np.where(span.segmentation[numbers] < 0, NOTHING, span.segmentation[numbers]).astype("<u2")
+        ids = rr.SegmentationImage.columns(
+            buffer=_bytes(shown), format=_formats(shown, rr.datatypes.ChannelDatatype.U16)
+        )
+        rec.send_columns(f"{entity}/{SEGMENTATION}", at, ids)
+
+
+def _bytes(pictures: np.ndarray) -> list[np.ndarray]:
+    return [np.frombuffer(picture.tobytes(), np.uint8) for picture in pictures]
+
+
+def _formats(pictures: np.ndarray, kind: rr.datatypes.ChannelDatatype) -> list[rr.datatypes.ImageFormat]:
+    height, width = pictures.shape[1:]
+    return [rr.datatypes.ImageFormat(width=width, height=height, channel_datatype=kind)] * len(pictures)

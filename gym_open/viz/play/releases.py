@@ -1,0 +1,215 @@
+"""Streams of a release. It does not say who is stuck, but holds what that follows from: it is told here again."""
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from gym_open.envs.puzzles import Puzzle
+from gym_open.errors import UsageError
+from gym_open.formats.logs import Stuck, Switch
+from gym_open.formats.pictures import encode_pngs
+from gym_open.formats.releases import IMAGE, Release
+from gym_open.formats.releases.layout import PART as PART_COLUMN
+from gym_open.formats.stuck import Watch, position
+from gym_open.viz.choice import Choice
+from gym_open.viz.play.streams import (
+    ACTION,
+    CONTACTS,
+    ENTROPY,
+    LOSS,
+    PART,
+    PIECE,
+    REWARD,
+    VALUE,
+    Span,
+    Stay,
+    Stream,
+    overlap,
+)
+
+_COLUMNS = {
+    REWARD: "reward.intrinsic",
+    LOSS: "world_model.loss",
+    ENTROPY: "policy.entropy",
+    VALUE: "policy.value",
+    CONTACTS: "contact.count",
+    ACTION: "action.index",
+}
+
+
+class _Episode(NamedTuple):
+    """Part of a segment, in one piece."""
+
+    segment: int
+    world: int
+    puzzle: str
+    continued: bool
+    begins: bool
+    """Whether the segment begins with it."""
+    ends: bool
+    """Whether the segment ends with it."""
+    steps: range
+    first_frame: int
+    """Frame of the first observation; each step has one, and there is one more."""
+
+
+def open_streams(release: Release) -> list[Stream]:
+    """The streams of a release; of their frames, only the first ones are read.
+
+    Raises:
+        ArtefactError: if it is damaged.
+    """
+    rows = release.arrow_table("streams").to_pylist()
+    switches, segments = (release.arrow_table(name).to_pylist() for name in ("switches", "segments"))
+    found: list[Stream] = []
+    for row in rows:
+        number = row["stream"]
+        own = [_switch(item) for item in switches if item["stream"] == number]
+        stays = _stays([item for item in segments if item["stream"] == number], own)
+        episodes = _episodes(release, number)
+        if episodes:
+            found.append(_stream(release, row, own, stays, episodes))
+    return found
+
+
+def narrowed(release: Release, choice: Choice) -> Choice:
+    """The choice with the stream and steps of the episode that it names.
+
+    Raises:
+        UsageError: if there is no such episode, or it is not of the stream that was picked.
+    """
+    if choice.episode is None:
+        return choice
+    rows = release.episodes[release.episodes["episode_index"] == choice.episode]
+    if rows.empty:
+        raise UsageError(
+            f"--episode: {release.root} has the episodes 0 to {len(release.episodes) - 1}, got {choice.episode}"
+        )
+    row = rows.iloc[0]
+    stream, first = int(row["stream"]), int(row["first_step"])
+    if choice.stream not in (None, stream):
+        raise UsageError(f"--stream: episode {choice.episode} is of stream {stream}, got {choice.stream}")
+    steps = range(first, first + int(row["steps"]))
+    return msgspec.structs.replace(
+        choice, episode=None, stream=stream, steps=steps if choice.steps is None else overlap(steps, choice.steps)
+    )
+
+
+def _switch(row: Mapping[str, Any]) -> Switch:
+    losses = [float(loss) for loss in row["world_losses"]]
+    return Switch(row["step"], row["from_world"], row["to_world"], row["reason"], losses)
+
+
+def _stays(rows: list[dict[str, Any]], switches: list[Switch]) -> list[Stay]:
+    at = {item.step: item.world_losses for item in switches}
+
+    def loss(step: int, world: int) -> float:
+        losses = at.get(step, [])
+        return losses[world] if world < len(losses) else math.nan
+
+    found: list[Stay] = []
+    for row in sorted(rows, key=lambda row: row["segment"]):
+        steps = range(row["first_step"], row["first_step"] + row["steps"])
+        world = row["world"]
+        entry, left = loss(steps.start, world), loss(steps.stop, world)
+        found.append(Stay(row["segment"], world, steps, row["ended"], entry, left))
+    return found
+
+
+def _episodes(release: Release, stream: int) -> list[_Episode]:
+    table = release.episodes
+    rows = table[table["stream"] == stream].sort_values("first_step").to_dict("records")
+    found: list[_Episode] = []
+    for row, following in zip(rows, [*rows[1:], None], strict=True):
+        first = row["first_step"]
+        found.append(
+            _Episode(
+                row["segment"], row["world"], row["puzzle"], row["continued"], row["piece"] == 0,
+                following is None or following["segment"] != row["segment"],
+                range(first, first + row["steps"]), row["dataset_from_index"],
+            )
+        )  # fmt: skip
+    return found
+
+
+def _stream(
+    release: Release, row: Mapping[str, Any], switches: list[Switch], stays: list[Stay], episodes: list[_Episode]
+) -> Stream:
+    parts = tuple(name.removeprefix(PART_COLUMN) for name in release.info["features"] if name.startswith(PART_COLUMN))
+    worlds = release.arrow_table("worlds").to_pylist()
+    puzzles = {item["puzzle"]: Puzzle.from_json(item["json"]) for item in worlds if item["stream"] == row["stream"]}
+    begin = episodes[0].first_frame
+    beginning = _series(release.numbers(begin, begin + 1), parts)
+    return Stream(
+        number=row["stream"],
+        steps=range(episodes[0].steps.start, episodes[-1].steps.stop),
+        config=msgspec.json.decode(row["config"]),
+        worlds=sum(item["stream"] == row["stream"] for item in worlds),
+        reward_parts=parts,
+        switches=switches,
+        stays=stays,
+        known=frozenset(name for name, values in beginning.items() if not np.isnan(values).all()),
+        spans=lambda wanted: _spans(release, episodes, puzzles, parts, wanted),
+    )
+
+
+def _spans(
+    release: Release, episodes: list[_Episode], puzzles: Mapping[str, Puzzle], parts: tuple[str, ...], wanted: range
+) -> Iterator[Span]:
+    names = tuple(release.info["gym_open"]["objects"])
+    shown = {episode.segment for episode in episodes if overlap(episode.steps, wanted)}
+    watch: Watch | None = None
+    for episode in episodes:
+        if episode.segment not in shown or episode.steps.start >= wanted.stop:
+            continue
+        for start in range(
+            episode.steps.start, episode.steps.stop, PIECE
+        ):  # also what is not wanted: who is stuck there
+            steps = overlap(episode.steps, range(start, start + PIECE))
+            first = episode.first_frame + steps.start - episode.steps.start
+            values = release.numbers(first, first + len(steps) + 1)
+            states = values["observation.environment_state"].reshape(len(steps) + 1, len(names), -1)
+            if watch is None or watch.segment != episode.segment:
+                watch = Watch(episode.segment, position(states[0]))
+            stuck = _watched(watch, states, values[_COLUMNS[ACTION]][:-1], steps)
+            if episode.ends and steps.stop == episode.steps.stop:
+                stuck += watch.leave(states[-1], steps.stop)
+            cut = overlap(steps, wanted)
+            if not cut:
+                continue
+            low, high = cut.start - steps.start, cut.stop - steps.start
+            yield Span(
+                segment=episode.segment,
+                world=episode.world,
+                puzzle=puzzles[episode.puzzle],
+                continued=episode.continued,
+                first_step=cut.start,
+                names=names,
+                states=states[low : high + 1],
+                series={name: found[low:high] for name, found in _series(values, parts).items()},
+                pngs=_pictures(release, first + low),
+                stuck=[one for one in stuck if cut.start < one.step <= cut.stop],
+                begins=cut.start == wanted.start or (episode.begins and cut.start == episode.steps.start),
+            )
+
+
+def _watched(watch: Watch, states: np.ndarray, actions: np.ndarray, steps: range) -> list[Stuck]:
+    """What began or ceased to be stuck; `states` (T + 1, objects, 13) are before and after the actions (T,)."""
+    found: list[Stuck] = []
+    for number in np.flatnonzero(actions).tolist():  # action 0 lets no time pass
+        found += watch.push(states[number + 1], steps.start + number + 1)
+    return found
+
+
+def _series(values: Mapping[str, np.ndarray], parts: tuple[str, ...]) -> dict[str, np.ndarray]:
+    columns = {**_COLUMNS, **{PART + name: PART_COLUMN + name for name in parts}}
+    return {name: values[column].astype(np.float64) for name, column in columns.items()}
+
+
+def _pictures(release: Release, first: int) -> Callable[[np.ndarray], list[bytes]]:
+    if release.info["features"][IMAGE]["dtype"] == "image":
+        return lambda numbers: release.pngs(first + numbers)
+    return lambda numbers: encode_pngs(release.images(first + numbers))
