@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from gym_open import artefacts
 from gym_open.envs.constants import N_ACTIONS
 from gym_open.envs.env import OpenEnv
 from gym_open.envs.puzzles import Puzzle
@@ -49,12 +50,23 @@ def replay_puzzle(scores: Path, puzzle: str, see: See | None = None) -> Replay:
         PuzzleError: if no fixed puzzle has this id.
         ArtefactError: if the scores are damaged, do not hold the puzzle, or part from what happens: names the step.
     """
+    row = scored_row(scores, puzzle)
+    return play_again(scores / EPISODES, puzzle_of(scores / EPISODES, read_scores(scores), row), row, see)
+
+
+def scored_row(scores: Path, puzzle: str) -> dict[str, Any]:
+    """What was recorded of one puzzle: a row of `read_episodes`.
+
+    Raises:
+        PuzzleError: if no fixed puzzle has this id.
+        ArtefactError: if the scores are damaged, or do not hold the puzzle.
+    """
     puzzle_by_id(puzzle)
-    record = read_scores(scores)
+    artefacts.verify(scores, "scores")
     rows = read_episodes(scores)
     for row in rows:
         if row["puzzle"] == puzzle:
-            return play_again(scores / EPISODES, puzzle_of(scores / EPISODES, record, row), row, see)
+            return row
     held = f"{rows[0]['puzzle']} to {rows[-1]['puzzle']}" if rows else "none"
     raise ArtefactError(f"{scores}: no episode of puzzle {puzzle}; it holds {held}")
 

@@ -3,18 +3,20 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 
-from gym_open import artefacts, progress
+from gym_open import progress
 from gym_open.envs import constants as c
 from gym_open.envs.options import WorldOptions
 from gym_open.envs.puzzles import Puzzle
 from gym_open.envs.tasks import judge, rewarded, step_budget
 from gym_open.envs.world import World
-from gym_open.errors import ArtefactError, UsageError
+from gym_open.errors import UsageError
+from gym_open.formats.episodes import scored_row
+from gym_open.viz.film import FAINT, FILMS, INK, PAPER, check_suffix, even, typeface, write_film, write_whole
 
 Look = Literal["handsome", "observation"]
 """`handsome` needs OpenGL; `observation` is what an agent sees, its pixels enlarged."""
@@ -38,7 +40,6 @@ class Moment(NamedTuple):
     """Rewards so far."""
 
 
-_PAPER, _INK, _FAINT = (250, 250, 248), (25, 25, 25), (110, 110, 110)
 _HELD_S = 0.8
 """Seconds for which a video holds its first and last picture."""
 
@@ -66,25 +67,38 @@ def contact_sheet(
         UsageError: if there is no puzzle, `out` is no PNG, or the size is out of bounds.
         OpenGLError: if the look needs OpenGL and there is none.
     """
-    _check_suffix(out, (".png",))
+    check_suffix(out, (".png",))
+    sheet = draw_sheet(puzzles, look=look, size=size, columns=columns, options=options)
+    return write_whole(out, lambda beside: sheet.save(beside, format="PNG"))
+
+
+def draw_sheet(
+    puzzles: Mapping[str, Puzzle], *, look: Look, size: int, columns: int, options: WorldOptions | None = None
+) -> Image.Image:
+    """The picture that `contact_sheet` writes.
+
+    Raises:
+        UsageError: if there is no puzzle, or the size is out of bounds.
+        OpenGLError: if the look needs OpenGL and there is none.
+    """
     _check_range("size", size, 32, 2048)
     if not puzzles:
         raise UsageError("a contact sheet needs at least one puzzle, got none")
     columns = max(1, min(columns, len(puzzles)))
     rows = -(-len(puzzles) // columns)
-    gap, font = max(2, size // 24), _font(max(9, size // 13))
+    gap, font = max(2, size // 24), typeface(max(9, size // 13))
     label = round(1.6 * font.size)
-    sheet = Image.new("RGB", (columns * (size + gap) + gap, rows * (size + label + gap) + gap), _PAPER)
+    sheet = Image.new("RGB", (columns * (size + gap) + gap, rows * (size + label + gap) + gap), PAPER)
     draw = ImageDraw.Draw(sheet)
     world = World(options)
-    with _painter(world, look, size) as paint, progress.bar("sheet", len(puzzles)) as bar:
+    with painter(world, look, size) as paint, progress.bar("sheet", len(puzzles)) as bar:
         for i, (name, puzzle) in enumerate(puzzles.items()):
             world.load(puzzle, recolour_hits=rewarded(puzzle.task))
             left, top = gap + i % columns * (size + gap), gap + i // columns * (size + label + gap)
             sheet.paste(Image.fromarray(paint(world)), (left, top))
-            draw.text((left + size / 2, top + size + label / 2), name, fill=_INK, font=font, anchor="mm")
+            draw.text((left + size / 2, top + size + label / 2), name, fill=INK, font=font, anchor="mm")
             bar.advance()
-    return _whole(out, lambda beside: sheet.save(beside, format="PNG"))
+    return sheet
 
 
 def episode_video(
@@ -120,25 +134,24 @@ def episode_video(
             substeps.
         OpenGLError: if the look needs OpenGL and there is none.
     """
-    _check_suffix(out, (".mp4", ".gif"))
+    check_suffix(out, FILMS)
     _check_range("size", size, 32, 2048)
     _check_range("fps", fps, 1, 120)
     world = World(options)
     if frames_per_step < 1 or world.options.substeps % frames_per_step:
         raise UsageError(f"frames_per_step: {frames_per_step} does not divide the {world.options.substeps} substeps")
     title, held = name or puzzle.task, round(_HELD_S * fps)
-    with _painter(world, look, size) as paint, progress.bar("film", len(actions)) as bar:
+    with painter(world, look, size) as paint, progress.bar("film", len(actions)) as bar:
 
         def frames() -> Iterator[np.ndarray]:
             frame = np.zeros(0)
-            for i, (shown, moment) in enumerate(_moments(world, puzzle, actions, frames_per_step)):
+            for i, (shown, moment) in enumerate(moments(world, puzzle, actions, frames_per_step)):
                 frame = _captioned(paint(shown), title, moment)
                 yield from [frame] * (held if i == 0 else 1)
                 bar.advance(i > 0 and i % frames_per_step == 0)
             yield from [frame] * held
 
-        write = _write_mp4 if out.suffix == ".mp4" else _write_gif
-        return _whole(out, lambda beside: write(beside, frames(), fps))
+        return write_film(out, frames(), fps)
 
 
 def random_actions(puzzle: Puzzle, rng: np.random.Generator, steps: int | None = None) -> list[int]:
@@ -156,18 +169,10 @@ def scored_actions(scores: Path, puzzle_id: str) -> list[int]:
     Raises:
         ArtefactError: if it is damaged, no `scores`, or does not hold the puzzle.
     """
-    import pyarrow.parquet as pq
-
-    artefacts.verify(scores, "scores")
-    rows = pq.read_table(scores / "episodes.parquet", columns=["puzzle", "actions"]).to_pylist()
-    for row in rows:
-        if row["puzzle"] == puzzle_id:
-            return row["actions"]
-    held = f"{rows[0]['puzzle']} to {rows[-1]['puzzle']}"
-    raise ArtefactError(f"{scores}: no episode of puzzle {puzzle_id!r}; it holds {held}")
+    return scored_row(scores, puzzle_id)["actions"]
 
 
-def _moments(
+def moments(
     world: World, puzzle: Puzzle, actions: Iterable[int], frames_per_step: int
 ) -> Iterator[tuple[World, Moment]]:
     """What is seen at the beginning and `frames_per_step` times a step, until the episode ends.
@@ -196,22 +201,22 @@ def _moments(
 def _captioned(picture: np.ndarray, title: str, moment: Moment) -> np.ndarray:
     """The picture over two lines of text; both edges even, as H.264 wants them."""
     height, width = picture.shape[:2]
-    font = _font(max(9, width // 26))
+    font = typeface(max(9, width // 26))
     line = round(1.5 * font.size)
-    frame = Image.new("RGB", (width + width % 2, -(-(height + 2 * line + line // 3) // 2) * 2), _PAPER)
+    frame = Image.new("RGB", (width, height + 2 * line + line // 3), PAPER)
     frame.paste(Image.fromarray(picture))
     draw, margin = ImageDraw.Draw(frame), line // 2
     first, second = height + 0.65 * line, height + 1.65 * line
-    draw.text((margin, first), f"{title}   step {moment.step}", fill=_INK, font=font, anchor="lm")
+    draw.text((margin, first), f"{title}   step {moment.step}", fill=INK, font=font, anchor="lm")
     if moment.step:
         paid = f"reward {moment.reward:g}   return {moment.total:g}"
-        draw.text((margin, second), DIRECTIONS[moment.action], fill=_INK, font=font, anchor="lm")
-        draw.text((width - margin, second), paid, fill=_FAINT, font=font, anchor="rm")
-    return np.asarray(frame)
+        draw.text((margin, second), DIRECTIONS[moment.action], fill=INK, font=font, anchor="lm")
+        draw.text((width - margin, second), paid, fill=FAINT, font=font, anchor="rm")
+    return even(frame)
 
 
 @contextmanager
-def _painter(world: World, look: Look, size: int) -> Iterator[Painter]:
+def painter(world: World, look: Look, size: int) -> Iterator[Painter]:
     """What draws the world in this look, (size, size, 3) uint8."""
     if look == "observation":
         yield lambda world: np.asarray(Image.fromarray(world.observe()).resize((size, size), Image.Resampling.NEAREST))
@@ -222,49 +227,6 @@ def _painter(world: World, look: Look, size: int) -> Iterator[Painter]:
         yield renderer.picture
 
 
-def _write_mp4(path: Path, frames: Iterator[np.ndarray], fps: int) -> None:
-    import av
-
-    with av.open(str(path), "w", format="mp4") as container:
-        stream = container.add_stream("libx264", rate=fps, options={"crf": "18"})
-        stream.pix_fmt = "yuv420p"
-        for frame in frames:
-            stream.height, stream.width = frame.shape[:2]
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
-        container.mux(stream.encode())
-
-
-def _write_gif(path: Path, frames: Iterator[np.ndarray], fps: int) -> None:
-    images = [Image.fromarray(frame).quantize(128, dither=Image.Dither.NONE) for frame in frames]
-    images[0].save(
-        path, format="GIF", save_all=True, append_images=images[1:], duration=max(20, round(1000 / fps)), loop=0
-    )
-
-
-def _whole(out: Path, write: Callable[[Path], Any]) -> Path:
-    """Write a file beside `out`, then rename it."""
-    out.parent.mkdir(parents=True, exist_ok=True)
-    beside = out.with_name(f".{out.name}.tmp")
-    try:
-        write(beside)
-        return beside.replace(out)
-    finally:
-        beside.unlink(missing_ok=True)
-
-
-def _check_suffix(out: Path, known: tuple[str, ...]) -> None:
-    if out.suffix not in known:
-        found = repr(out.suffix) if out.suffix else "none"
-        raise UsageError(f"{out}: expected a file name that ends in {' or '.join(known)}, got {found}")
-
-
 def _check_range(name: str, value: int, low: int, high: int) -> None:
     if not low <= value <= high:
         raise UsageError(f"{name}: expected {low} to {high}, got {value}")
-
-
-def _font(size: int) -> ImageFont.FreeTypeFont:
-    """DejaVu Sans, which has arrows and comes with matplotlib."""
-    import matplotlib as mpl
-
-    return ImageFont.truetype(str(Path(mpl.get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")), size)

@@ -17,6 +17,7 @@ from gym_open.envs.puzzles.sets import test_puzzles as fixed_puzzles
 from gym_open.envs.world import World
 from gym_open.errors import ArtefactError, UsageError
 from gym_open.evaluate.config import EvaluateConfig
+from gym_open.formats.scores import EPISODES, episodes_schema
 from gym_open.viz.render import contact_sheet, episode_video, random_actions, scored_actions
 
 needs_gl = pytest.mark.skipif(
@@ -143,13 +144,14 @@ def test_random_actions_are_the_budget_and_repeat() -> None:
 
 def test_actions_of_scores(tmp_path: Path) -> None:
     def work(partial: Path) -> dict[str, object]:
-        table = pa.table({"puzzle": ["avoidance/000", "avoidance/001"], "actions": [[1, 2], [3]]})
-        pq.write_table(table, partial / "episodes.parquet")
+        row = {"digest": "", "a_success": 0.0, "return": 0.0, "steps": 1, "terminated": False, "rewards": [0.0]}
+        rows = [{**row, "puzzle": f"avoidance/{i:03d}", "actions": actions} for i, actions in enumerate([[1, 2], [3]])]
+        pq.write_table(pa.Table.from_pylist(rows, schema=episodes_schema()), partial / EPISODES)
         return {}
 
     artefacts.build(tmp_path / "scores", kind="scores", config=EvaluateConfig(task="avoidance"), parents=[], work=work)
     assert scored_actions(tmp_path / "scores", "avoidance/001") == [3]
     with pytest.raises(
-        ArtefactError, match="no episode of puzzle 'avoidance/002'; it holds avoidance/000 to avoidance/001"
+        ArtefactError, match="no episode of puzzle avoidance/002; it holds avoidance/000 to avoidance/001"
     ):
         scored_actions(tmp_path / "scores", "avoidance/002")

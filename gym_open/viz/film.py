@@ -1,0 +1,78 @@
+"""Films and pictures as files: MP4 by PyAV, GIF and PNG by Pillow; each appears whole or not at all."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image, ImageFont
+
+from gym_open.errors import UsageError
+
+FILMS = (".mp4", ".gif")
+PAPER, INK, FAINT = (250, 250, 248), (25, 25, 25), (110, 110, 110)
+
+
+def write_film(out: Path, frames: Iterator[np.ndarray], fps: int) -> Path:
+    """Write frames (H, W, 3) uint8 as MP4 (H.264, which wants both edges even) or GIF, by the suffix.
+
+    A GIF is held in memory while it is written, and shows at most 50 pictures a second.
+    """
+    write = _write_mp4 if out.suffix == ".mp4" else _write_gif
+    return write_whole(out, lambda beside: write(beside, frames, fps))
+
+
+def write_whole(out: Path, write: Callable[[Path], Any]) -> Path:
+    """Write a file beside `out`, then rename it."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    beside = out.with_name(f".{out.name}.tmp")
+    try:
+        write(beside)
+        return beside.replace(out)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def check_suffix(out: Path, known: tuple[str, ...]) -> None:
+    """Refuse a file name that ends in something else.
+
+    Raises:
+        UsageError: if it does.
+    """
+    if out.suffix not in known:
+        found = repr(out.suffix) if out.suffix else "none"
+        raise UsageError(f"{out}: expected a file name that ends in {' or '.join(known)}, got {found}")
+
+
+def typeface(size: int) -> ImageFont.FreeTypeFont:
+    """DejaVu Sans, which has arrows and comes with matplotlib."""
+    import matplotlib as mpl
+
+    return ImageFont.truetype(str(Path(mpl.get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")), size)
+
+
+def even(frame: Image.Image) -> np.ndarray:
+    """The picture with both edges even, as H.264 wants them: (H, W, 3) uint8."""
+    width, height = frame.size
+    page = Image.new("RGB", (width + width % 2, height + height % 2), PAPER)
+    page.paste(frame)
+    return np.asarray(page)
+
+
+def _write_mp4(path: Path, frames: Iterator[np.ndarray], fps: int) -> None:
+    import av
+
+    with av.open(str(path), "w", format="mp4") as container:
+        stream = container.add_stream("libx264", rate=fps, options={"crf": "18"})
+        stream.pix_fmt = "yuv420p"
+        for frame in frames:
+            stream.height, stream.width = frame.shape[:2]
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
+        container.mux(stream.encode())
+
+
+def _write_gif(path: Path, frames: Iterator[np.ndarray], fps: int) -> None:
+    images = [Image.fromarray(frame).quantize(128, dither=Image.Dither.NONE) for frame in frames]
+    images[0].save(
+        path, format="GIF", save_all=True, append_images=images[1:], duration=max(20, round(1000 / fps)), loop=0
+    )

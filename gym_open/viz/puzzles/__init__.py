@@ -1,0 +1,32 @@
+"""Puzzles of the evaluation: one played by several agents, side by side; or how all of them went."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from gym_open.viz.choice import Choice
+from gym_open.viz.config import VizConfig
+from gym_open.viz.view import View
+
+
+def view(config: VizConfig, sources: Sequence[Path], choice: Choice) -> View:
+    """The puzzle that was chosen, played by the sources; without one, how all puzzles of their task went.
+
+    Args:
+        config: how long the trails are.
+        sources: scores artefacts; of a chosen puzzle also policies, which play it.
+        choice: of it, `puzzle`.
+
+    Raises:
+        ArtefactError: if a source is damaged, of another kind or task, or holds no episode of the puzzle.
+        PuzzleError: if no fixed puzzle has this id.
+        UsageError: if more than a puzzle was chosen, or a policy is given without one.
+    """
+    choice.refuse_others("a puzzle", {"puzzle"})
+    if choice.puzzle is None:
+        from gym_open.viz.puzzles.overview import overview
+
+        return overview(sources)
+    from gym_open.viz.puzzles.episodes import play_all
+    from gym_open.viz.puzzles.side_by_side import side_by_side
+
+    return side_by_side(config, play_all(choice.puzzle, sources))

@@ -1,0 +1,153 @@
+"""One puzzle by several agents, on one timeline of steps: a column an agent, the witness beside them.
+
+<n>/observation                     pictures, PNG
+<n>/table/…                         the table and what is on it, as of a log
+<n>/table/policy                    where the policy would go: arrows as long as the nine actions are likely
+<n>/return, <n>/action              return so far, and actions
+<n>/policy/{value, entropy}         of a policy whose weights were given
+<n>/policy/probabilities            of the nine actions
+events                              touches and ends, in words
+about/puzzle                        the table of agents, and the puzzle's record
+"""
+
+from typing import Any
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from gym_open.envs.tasks import step_budget
+from gym_open.viz.config import VizConfig
+from gym_open.viz.play.columns import times
+from gym_open.viz.play.layout import trail
+from gym_open.viz.puzzles.agent import log_agent
+from gym_open.viz.puzzles.episodes import Episode, Puzzled
+from gym_open.viz.render import DIRECTIONS
+from gym_open.viz.view import View
+from gym_open.viz.words import cell, table
+
+_ABREAST = 4
+"""Agents side by side; more come in tabs."""
+
+
+def side_by_side(config: VizConfig, played: Puzzled) -> View:
+    """The view of one puzzle, played by several agents; `config` says how long their trails are."""
+
+    def fill(rec: rr.RecordingStream) -> None:
+        rec.log("about/puzzle", rr.TextDocument(_about(played), media_type="text/markdown"), static=True)
+        longest = max(episode.steps for episode in played.episodes)
+        for number, episode in enumerate(played.episodes):
+            log_agent(rec, played.puzzle, episode, number, longest)
+        _log_events(rec, played)
+
+    return View(played.id, fill, _layout(config, played))
+
+
+def _log_events(rec: rr.RecordingStream, played: Puzzled) -> None:
+    """Touches and ends in words, in the order of steps."""
+    events = [
+        (step, rr.TextLogLevel.INFO, f"{episode.name}: touches {', '.join(names)}, return {episode.returns[step]:g}")
+        for episode in played.episodes
+        for step, names in enumerate(episode.touched, 1)
+        if names
+    ]
+    events += [
+        (
+            episode.steps,
+            rr.TextLogLevel.INFO if episode.terminated and not episode.in_danger else rr.TextLogLevel.WARN,
+            f"{episode.name}: {episode.outcome}",
+        )
+        for episode in played.episodes
+    ]
+    events.sort(key=lambda event: event[0])
+    steps, levels, words = (list(column) for column in zip(*events, strict=True))
+    rec.send_columns("events", times(steps), rr.TextLog.columns(text=words, level=levels))
+
+
+def _about(played: Puzzled) -> str:
+    rows = [[cell(episode.name), cell(episode.outcome), f"{episode.returns[-1]:g}"] for episode in played.episodes]
+    budget = step_budget(played.puzzle.task)
+    actions = [f"- {cell(episode.name)}: {_in_words(episode)}" for episode in played.episodes]
+    return "\n".join(
+        [
+            f"# {played.id}",
+            "",
+            *table(["agent", "outcome", "return"], rows),
+            "",
+            f"At most {budget} actions. Layout `{played.puzzle.digest[:16]}…`.",
+            "",
+            "Actions: " + ", ".join(f"{number} {name}" for number, name in enumerate(DIRECTIONS)) + ".",
+            "",
+            "## What each did",
+            "",
+            *actions,
+            "",
+            "## The puzzle",
+            "",
+            f"```json\n{played.puzzle.to_json().decode()}\n```",
+        ]
+    )
+
+
+def _in_words(episode: Episode) -> str:
+    """The actions, one behind the other."""
+    return " ".join(f"{action}" for action in episode.actions)
+
+
+def _layout(config: VizConfig, played: Puzzled) -> rrb.Blueprint:
+    columns = [_agent(config, number, episode) for number, episode in enumerate(played.episodes)]
+    groups = [columns[i : i + _ABREAST] for i in range(0, len(columns), _ABREAST)]
+    abreast = [
+        rrb.Horizontal(*group, name=f"agents {_ABREAST * i + 1} to {_ABREAST * i + len(group)}")
+        for i, group in enumerate(groups)
+    ]
+    return rrb.Blueprint(
+        rrb.Vertical(
+            abreast[0] if len(abreast) == 1 else rrb.Tabs(*abreast), _below(played.episodes), row_shares=[7, 3]
+        ),
+        rrb.TimePanel(state="collapsed", timeline="step", sequence_cursor=0, fps=10.0),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        auto_views=False,
+    )
+
+
+def _agent(config: VizConfig, number: int, episode: Episode) -> rrb.Vertical:
+    """The table over the observation and, of a policy, the bars of its actions."""
+    seen: rrb.View | rrb.Horizontal = rrb.Spatial2DView(origin=f"/{number}/observation", name="observation")
+    if episode.opinion:
+        hidden = rrb.PlotLegend(visible=False)
+        bars = rrb.BarChartView(origin=f"/{number}/policy/probabilities", name="p(action)", plot_legend=hidden)
+        seen = rrb.Horizontal(seen, bars)
+    trailed: dict[Any, Any] = {f"/{number}/table/trail": trail(config.trail_steps)}
+    return rrb.Vertical(
+        rrb.Spatial3DView(
+            origin=f"/{number}/table",
+            name=f"{episode.name}: {episode.outcome}",
+            overrides=trailed,
+        ),
+        seen,
+        row_shares=[3, 2],
+    )
+
+
+def _below(episodes: list[Episode]) -> rrb.Horizontal:
+    def plot(title: str, entity: str, who: list[int], top: float | None = None) -> rrb.TimeSeriesView:
+        axis = rrb.ScalarAxis(range=(-0.05, top)) if top else None
+        contents = [f"/{number}/{entity}" for number in who]
+        return rrb.TimeSeriesView(contents=contents, name=title, axis_y=axis, plot_legend=rrb.Corner2D.RightBottom)
+
+    everyone = list(range(len(episodes)))
+    judges = [number for number in everyone if episodes[number].opinion]
+    actions = plot("action (0 = stay)", "action", everyone, 8.5)
+    second: rrb.TimeSeriesView | rrb.Tabs = actions
+    if judges:
+        value = plot("value: return that the policy expects", "policy/value", judges)
+        entropy = plot("entropy of the policy (nats)", "policy/entropy", judges)
+        second = rrb.Tabs(value, entropy, actions)
+    return rrb.Horizontal(
+        plot("return so far", "return", everyone, 1.05),
+        second,
+        rrb.TextLogView(origin="/events", name="events"),
+        rrb.TextDocumentView(origin="/about/puzzle", name="puzzle"),
+        column_shares=[3, 3, 4, 4],
+    )

@@ -1,0 +1,111 @@
+"""Series under a film's picture: drawn once, with a cursor that moves."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import msgspec
+import numpy as np
+
+from gym_open.viz.film import PAPER
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_DPI = 100
+_CURSOR = (25, 25, 25)
+
+
+class Curve(msgspec.Struct, frozen=True, eq=False):
+    """A line in a plot."""
+
+    x: np.ndarray
+    y: np.ndarray
+    colour: str
+    """As matplotlib has it."""
+    label: str = ""
+    style: str = "-"
+    """As matplotlib has it."""
+
+
+class Plot(msgspec.Struct, frozen=True, eq=False):
+    """Lines over the same axis, and perhaps a level that they are held against."""
+
+    title: str
+    """With the unit."""
+    curves: list[Curve]
+    level: float | None = None
+    level_label: str = "threshold"
+
+
+def draw_plot(axes: "Axes", plot: Plot, *, steps: bool = False) -> None:
+    """Draw one plot; of what is not finite there is no line, and if nothing is, words say so.
+
+    Args:
+        axes: where.
+        plot: what.
+        steps: whether a value holds until the next.
+    """
+    there = False
+    for curve in plot.curves:
+        if np.isfinite(curve.y).any():
+            there = True
+            axes.plot(
+                curve.x, curve.y, curve.style, color=curve.colour, label=curve.label or None, linewidth=1.4,
+                markersize=3, drawstyle="steps-post" if steps else "default",
+            )  # fmt: skip
+    if plot.level is not None:
+        axes.axhline(plot.level, color="#D55E00", linestyle="--", linewidth=1.2, label=plot.level_label)
+    if not there:
+        axes.text(0.5, 0.5, "no data", transform=axes.transAxes, ha="center", va="center", color="#777777")
+    axes.set_title(plot.title, fontsize=9, loc="left")
+    axes.grid(alpha=0.25, linewidth=0.6)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelsize=8)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(frameon=False, fontsize=8, ncols=4, loc="lower right", bbox_to_anchor=(1.0, 0.98), borderaxespad=0)
+
+
+class Strip:
+    """Plots one below the other, over one axis of steps."""
+
+    def __init__(self, plots: Sequence[Plot], width: int, height: int, span: tuple[float, float], label: str) -> None:
+        """Draw the plots.
+
+        Args:
+            plots: from top to bottom.
+            width: of the strip in pixels.
+            height: of one plot in pixels.
+            span: first and last step.
+            label: of the axis of steps.
+        """
+        from matplotlib import style
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        with style.context(["default", {"text.parse_math": False}]):
+            figure = Figure(
+                figsize=(width / _DPI, height * len(plots) / _DPI), dpi=_DPI, layout="constrained",
+                facecolor="#{:02x}{:02x}{:02x}".format(*PAPER),
+            )  # fmt: skip
+            self._places: list[tuple[int, int, int, int]] = []
+            rows: list[Axes] = list(figure.subplots(len(plots), 1, sharex=True, squeeze=False)[:, 0])
+            for axes, plot in zip(rows, plots, strict=True):
+                draw_plot(axes, plot, steps=True)
+                axes.set_xlim(span[0], max(span[1], span[0] + 1))
+            rows[-1].set_xlabel(label, fontsize=8)
+            canvas = FigureCanvasAgg(figure)
+            canvas.draw()
+        self._picture = np.asarray(canvas.buffer_rgba())[..., :3].copy()
+        boxes = [axes.get_window_extent() for axes in rows]
+        tall = len(self._picture)
+        self._places = [(int(box.x0), int(box.x1), tall - int(box.y1), tall - int(box.y0)) for box in boxes]
+        self._span = span[0], max(span[1], span[0] + 1)
+
+    def at(self, step: float) -> np.ndarray:
+        """The strip with its cursor at a step: (plots × height, width, 3) uint8."""
+        picture = self._picture.copy()
+        share = np.clip((step - self._span[0]) / (self._span[1] - self._span[0]), 0, 1)
+        for left, right, top, bottom in self._places:
+            x = left + round(share * (right - left))
+            picture[top:bottom, max(x - 1, 0) : x + 1] = _CURSOR
+        return picture
