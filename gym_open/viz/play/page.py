@@ -31,16 +31,7 @@ def view(config: VizConfig, source: Path, choice: Choice) -> View:
         ArtefactError: if there is no log or release, or nothing of it is whole.
         UsageError: if what was picked is not there, or cannot be picked of it.
     """
-    if _is_release(source):
-        choice.refuse_others("a release", {"stream", "segment", "steps", "episode"})
-        checked = open_release(source)
-        release = Release(checked.root, checked.digest, checked.info, cached_groups=_CACHED_GROUPS)
-        title = f"{release.name} {release.version}"
-        streams = chosen(releases.open_streams(release), releases.narrowed(release, choice), source)
-    else:
-        choice.refuse_others("a log", {"stream", "segment", "steps"})
-        title = source.name
-        streams = chosen(logs.open_streams(source), choice, source)
+    title, streams = open_streams(source, choice)
     record = artefacts.lineage(source) if (source / artefacts.LINEAGE).is_file() else None
 
     def fill(rec: rr.RecordingStream) -> None:
@@ -52,6 +43,21 @@ def view(config: VizConfig, source: Path, choice: Choice) -> View:
             log_stream(rec, stream, config)
 
     return View(title, fill, blueprint(streams, config))
+
+
+def open_streams(source: Path, choice: Choice) -> tuple[str, list[Stream]]:
+    """What it is called, and its streams or what was picked of them; raises what `view` does."""
+    if _is_release(source):
+        choice.refuse_others("a release", {"stream", "segment", "steps", "episode"})
+        checked = open_release(source)
+        release = Release(checked.root, checked.digest, checked.info, cached_groups=_CACHED_GROUPS)
+        title = f"{release.name} {release.version}"
+        streams = chosen(releases.open_streams(release), releases.narrowed(release, choice), source)
+    else:
+        choice.refuse_others("a log", {"stream", "segment", "steps"})
+        title = source.name
+        streams = chosen(logs.open_streams(source), choice, source)
+    return title, streams
 
 
 def _is_release(source: Path) -> bool:
