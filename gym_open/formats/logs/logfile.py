@@ -57,7 +57,7 @@ class LogFile(NamedTuple):
         wanted = {self._channel(topic) for topic in topics}
         for place in self.contents.chunks:
             if not wanted or wanted & set(place.counts):
-                yield from (message for message in self._chunk(place) if not topics or message.topic in topics)
+                yield from (message for message in self.chunk(place) if not topics or message.topic in topics)
 
     def messages_from(self, step: int) -> Iterator[Logged] | None:
         """Messages from the last keyframe on that stands at or before a step of the stream; None if there is none.
@@ -71,14 +71,19 @@ class LogFile(NamedTuple):
         for number in reversed(range(len(places))):
             if places[number].time > time or self._channel(schemas.SEGMENT) not in places[number].counts:
                 continue
-            chunk = self._chunk(places[number])
+            chunk = self.chunk(places[number])
             frames = [i for i, one in enumerate(chunk) if one.topic == schemas.SEGMENT and one.time <= time]
             if frames:
-                later = (message for place in places[number + 1 :] for message in self._chunk(place))
+                later = (message for place in places[number + 1 :] for message in self.chunk(place))
                 return chain(chunk[frames[-1] :], later)
         return None
 
-    def _chunk(self, place: Place) -> list[Logged]:
+    def chunk(self, place: Place) -> list[Logged]:
+        """Messages of one chunk.
+
+        Raises:
+            LogError: if it is damaged.
+        """
         try:
             return list(read_chunk(self.path, place, self.contents.topics))
         except Damage as damage:

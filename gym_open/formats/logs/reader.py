@@ -10,7 +10,7 @@ from gym_open.formats.logs.container import Logged
 from gym_open.formats.logs.logfile import REPAIR, RESTORE, LogFile, foreign, open_file, open_whole_chunks
 from gym_open.formats.logs.messages import PIXELS, decode_stuck, decode_switch
 from gym_open.formats.logs.schemas import LogError, Segment, Stuck, Switch, UnfinishedError, log_name
-from gym_open.formats.logs.segments import decode_record, groups, is_complete, segments
+from gym_open.formats.logs.segments import HEADS, decode_record, groups, is_complete, segments
 
 UNFINISHED = "it has no last switch: its writer was not finished"
 
@@ -71,9 +71,26 @@ class Log:
             else:
                 self.stuck.append(decode_stuck(message.data))
         self.n_steps: int = sum(file.count(schemas.STEP) for file in files)
+        if damage is not None and (tail := self._last_record()) and tail[0].topic == schemas.STEP:
+            self.n_steps -= not is_complete(tail, self._pictures)
         self._open_end = files[-1].goes_on or damage is not None
         if not self._open_end and (not self.switches or self.switches[-1].to_world != -1):
             raise UnfinishedError(f"{files[-1].path}: {UNFINISHED}; {REPAIR}")
+
+    @property
+    def _pictures(self) -> set[str]:
+        """Topics of what the camera sees that are recorded."""
+        return {topic for topic in PIXELS if any(file.count(topic) for file in self._files)}
+
+    def _last_record(self) -> list[Logged]:
+        """The messages of the last record: of a damaged log, those that are left of it."""
+        tail: list[Logged] = []
+        places = ((file, place) for file in reversed(self._files) for place in reversed(file.contents.chunks))
+        for part, place in places:
+            tail = [*part.chunk(place), *tail]
+            if begins := [i for i, message in enumerate(tail) if message.topic in HEADS]:
+                return tail[begins[-1] :]
+        return tail
 
     def _messages(self, *topics: str) -> Iterator[Logged]:
         for file in self._files:
@@ -119,13 +136,12 @@ class Log:
 
     def _groups(self, messages: Iterator[Logged]) -> Iterator[list[Logged]]:
         """The messages of each record, but not of a last one that the damage took a part of."""
-        pictures = {topic for topic in PIXELS if any(file.count(topic) for file in self._files)}
         held: list[Logged] | None = None
         for group in groups(messages):
             if held is not None:
                 yield held
             held = group
-        if held is not None and (self.damage is None or is_complete(held, pictures)):
+        if held is not None and (self.damage is None or is_complete(held, self._pictures)):
             yield held
 
 

@@ -18,7 +18,8 @@ from gym_open.formats.logs.messages import (
 )
 from gym_open.formats.logs.schemas import Ended, Keyframe, Record, Segment, SegmentStart, StepRecord, Switch
 
-_HEADS = {schemas.SEGMENT, schemas.STEP, schemas.SWITCH, schemas.STUCK}
+HEADS = {schemas.SEGMENT, schemas.STEP, schemas.SWITCH, schemas.STUCK}
+"""Topics of the messages that a record begins with."""
 
 
 def groups(messages: Iterable[Logged]) -> Iterator[list[Logged]]:
@@ -29,7 +30,7 @@ def groups(messages: Iterable[Logged]) -> Iterator[list[Logged]]:
     """
     group: list[Logged] = []
     for message in messages:
-        if message.topic in _HEADS:
+        if message.topic in HEADS:
             if group:
                 yield group
             group = [message]

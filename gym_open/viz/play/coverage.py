@@ -6,7 +6,7 @@ import rerun as rr
 from gym_open.envs.constants import CELL_0, COLUMNS, PITCH, ROWS
 from gym_open.viz.play.columns import tensors, times
 
-TITLE = f"coverage: steps in each cell of {100 * PITCH:.1f} cm"
+TITLE = f"coverage, {100 * PITCH:.1f} cm cells"
 
 
 class Coverage:

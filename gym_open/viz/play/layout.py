@@ -9,7 +9,7 @@ from gym_open.envs.constants import CONTROL_DT_S
 from gym_open.viz.config import VizConfig
 from gym_open.viz.play.coverage import TITLE
 from gym_open.viz.play.pictures import DEPTH, IMAGE, SEGMENTATION
-from gym_open.viz.play.series import has_losses, series_entity
+from gym_open.viz.play.series import series_entity
 from gym_open.viz.play.streams import ACTION, CONTACTS, ENTROPY, LOSS, PART, REWARD, VALUE, Stream
 
 
@@ -30,7 +30,7 @@ def _stream(stream: Stream, config: VizConfig) -> rrb.Horizontal:
         _seen(stream, config),
         rrb.Vertical(*_curves(stream)),
         _words(stream),
-        column_shares=[4, 4, 3],
+        column_shares=[5 if stream.depth or stream.segmentation else 4, 4, 3],
         name=stream.name.replace("_", " "),
     )
 
@@ -47,10 +47,11 @@ def _seen(stream: Stream, config: VizConfig) -> rrb.Vertical:
         origin=f"{name}/coverage", name=TITLE, scalar_mapping=mapping, view_fit="FillKeepAspectRatio"
     )
     trailed: dict[Any, Any] = {f"{name}/table/trail": trail(config.trail_steps)}
+    table = rrb.Spatial3DView(origin=f"{name}/table", name="table", overrides=trailed)
+    if len(pictures) == 1:
+        return rrb.Vertical(rrb.Horizontal(*pictures, coverage, column_shares=[3, 2]), table, row_shares=[2, 3])
     return rrb.Vertical(
-        rrb.Horizontal(*pictures, coverage, column_shares=[*([3] * len(pictures)), 2]),
-        rrb.Spatial3DView(origin=f"{name}/table", name="table", overrides=trailed),
-        row_shares=[2, 3],
+        rrb.Horizontal(*pictures), rrb.Horizontal(table, coverage, column_shares=[3, 1]), row_shares=[2, 3]
     )
 
 
@@ -69,8 +70,16 @@ def _curves(stream: Stream) -> list[rrb.TimeSeriesView]:
         views.append(_plot("intrinsic reward, and what it is made of", *reward))
     if LOSS in known:
         views.append(_plot("world-model loss, and the threshold", known[LOSS], f"{name}/threshold"))
-    views.append(_plot("curriculum: world of the pool, switches", f"{name}/world", f"{name}/switches/**"))
-    if any(map(has_losses, stream.shown_switches())):
+    worlds = [stay.world for stay in stream.shown_stays()]
+    views.append(
+        _plot(
+            "curriculum: world of the pool, switches",
+            f"{name}/world",
+            f"{name}/switches/**",
+            span=(min(worlds, default=0) - 0.7, max(worlds, default=0) + 0.7),
+        )
+    )
+    if stream.with_losses():
         views.append(_plot("loss of each world, at every switch", f"{name}/world_loss", legend=stream.worlds <= 8))
     if policy := [known[series] for series in (ENTROPY, VALUE) if series in known]:
         views.append(_plot("policy: entropy, value", *policy))
@@ -86,15 +95,19 @@ def _words(stream: Stream) -> rrb.Vertical:
         rrb.TextDocumentView(origin=f"{name}/about/settings", name="settings"),
         rrb.TextDocumentView(origin="/about/lineage", name="lineage"),
     )
-    if not any(map(has_losses, stream.shown_switches())):
+    if not stream.with_losses():
         return rrb.Vertical(events, documents)
     bars = rrb.BarChartView(origin=f"{name}/world_losses", name="loss of each world at the last switch")
     return rrb.Vertical(events, bars, documents, row_shares=[3, 2, 4])
 
 
-def _plot(title: str, *entities: str, legend: bool = True) -> rrb.TimeSeriesView:
+def _plot(
+    title: str, *entities: str, legend: bool = True, span: tuple[float, float] | None = None
+) -> rrb.TimeSeriesView:
+    """A plot of the entities; `span` is the range of its scalar axis, else that of the data."""
     corner = rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend)
-    return rrb.TimeSeriesView(contents=list(entities), name=title, plot_legend=corner)
+    axis = rrb.ScalarAxis(range=span) if span else None  # an empty one makes Rerun warn
+    return rrb.TimeSeriesView(contents=list(entities), name=title, plot_legend=corner, axis_y=axis)
 
 
 def trail(steps: int) -> rrb.VisibleTimeRanges:

@@ -1,13 +1,9 @@
 """Numbers over time: what a step has, the curriculum's lane, and the losses of all worlds that it decided by."""
 
-import math
-from collections.abc import Sequence
-
 import numpy as np
 import rerun as rr
 from rerun.components import MarkerShape
 
-from gym_open.formats.logs import Switch
 from gym_open.terminal import printable
 from gym_open.viz.play.columns import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, YELLOW, tensors, times
 from gym_open.viz.play.streams import ACTION, CONTACTS, ENTROPY, LOSS, PART, REWARD, VALUE, Span, Stream
@@ -75,7 +71,7 @@ def log_curriculum(rec: rr.RecordingStream, stream: Stream) -> None:
         line = rr.Scalars.columns(scalars=[stream.threshold] * 2)
         rec.log(f"{name}/threshold", rr.SeriesLines(names="threshold: learned", colors=VERMILION), static=True)
         rec.send_columns(f"{name}/threshold", times([stream.steps.start, stream.steps.stop]), line)
-    _log_world_losses(rec, stream, [item for item in switches if has_losses(item)])
+    _log_world_losses(rec, stream)
 
 
 def _log_lane(rec: rr.RecordingStream, stream: Stream) -> None:
@@ -88,16 +84,19 @@ def _log_lane(rec: rr.RecordingStream, stream: Stream) -> None:
     rec.send_columns(f"{stream.name}/world", times(inside), lane)
 
 
-def has_losses(switch: Switch) -> bool:
-    """Whether the switch tells a loss of any world that was visited."""
-    return any(map(math.isfinite, switch.world_losses))
+def _log_world_losses(rec: rr.RecordingStream, stream: Stream) -> None:
+    """As bars, all worlds at one switch, and as a line for each world; a gap where it was not visited yet.
 
-
-def _log_world_losses(rec: rr.RecordingStream, stream: Stream, switches: Sequence[Switch]) -> None:
-    """As bars, all worlds at one switch, and as a line for each world; a gap where it was not visited yet."""
+    Those of the last switch before what is shown stand where that begins.
+    """
+    every = stream.with_losses()
+    switches = [
+        *[item for item in every if item.step < stream.steps.start][-1:],
+        *[item for item in every if item.step >= stream.steps.start],
+    ]
     if not switches:
         return
-    at = times([item.step for item in switches])
+    at = times([max(item.step, stream.steps.start) for item in switches])
     losses = np.array([item.world_losses for item in switches], dtype=np.float64)
     losses[~np.isfinite(losses)] = np.nan
     bars = [rr.BarChart(row) for row in losses]

@@ -117,9 +117,13 @@ class Stream(msgspec.Struct, frozen=True, eq=False):
         return [stay for stay in self.stays if overlap(stay.steps, self.steps)]
 
     def shown_switches(self) -> list[Switch]:
-        """Switches within the steps to be shown, the one that led there and the one at their end included."""
-        first = max((item.step for item in self.switches if item.step <= self.steps.start), default=0)
-        return [item for item in self.switches if first <= item.step <= self.steps.stop]
+        """Switches within the steps to be shown, the one at their end included."""
+        return [item for item in self.switches if self.steps.start <= item.step <= self.steps.stop]
+
+    def with_losses(self) -> list[Switch]:
+        """Of all switches up to the end of what is shown, those that tell a loss of any world that was visited."""
+        before = (item for item in self.switches if item.step <= self.steps.stop)
+        return [item for item in before if any(map(math.isfinite, item.world_losses))]
 
 
 def overlap(a: range, b: range) -> range:
