@@ -19,6 +19,8 @@ _OPTIONS = (
 )  # fmt: skip
 _FROM_US, _TO_US = 3, 4
 """File descriptors that Chromium reads and writes."""
+_DRAWN = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 500))))"
+"""What is over when the page, however busy, has drawn itself twice."""
 _EMPTY = 40_000
 """Bytes of a PNG below which a page of this size has nothing on it."""
 
@@ -110,11 +112,12 @@ class Browser:
         """The page as it is now, a PNG."""
         return base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
 
-    def still(self, *, limit: float = 90.0, calm: float = 6.0) -> bytes:
+    def still(self, *, limit: float = 120.0, calm: float = 8.0) -> bytes:
         """The page as soon as something is on it and it has not changed for `calm` seconds, else after `limit`."""
         until, since, last = time.monotonic() + limit, time.monotonic(), b""
         while time.monotonic() < until:
-            time.sleep(1.0)
+            time.sleep(0.5)
+            self.call("Runtime.evaluate", expression=_DRAWN, awaitPromise=True)
             now = self.picture()
             if now != last:
                 last, since = now, time.monotonic()

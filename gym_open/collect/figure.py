@@ -84,8 +84,9 @@ def _losses(axes: "Axes", curve: Mapping[str, Any], stays: list[Stay], curriculu
     axes.set(title="World model's loss", xlabel="steps of all streams", ylabel="loss, scaled")
     _log_scale(axes, named["world_loss"], curriculum)
     if np.isfinite(named["world_loss"]).any():
-        axes.plot(named["step"], named["world_model_loss"], color=SKY, linewidth=0.8, label="in training")
-        axes.plot(named["step"], named["world_loss"], color=BLUE, label="of the worlds in play")
+        lone = {"marker": "o", "markersize": 4, "clip_on": False} if len(named["step"]) == 1 else {}  # no line to see
+        axes.plot(named["step"], named["world_model_loss"], color=SKY, linewidth=0.8, label="in training", **lone)
+        axes.plot(named["step"], named["world_loss"], color=BLUE, label="of the worlds in play", **lone)
     left = sorted({stay.last for stay in stays if stay.last < named["step"][-1]})
     if left:
         floor = axes.get_xaxis_transform()
@@ -125,13 +126,16 @@ def _entry_and_exit(axes: "Axes", stays: list[Stay], curriculum: CurriculumConfi
     fresh = [stay.first for stay in stays if not np.isfinite(stay.loss_at_entry)]
     if fresh:
         floor = axes.get_xaxis_transform()
-        axes.plot(fresh, np.full(len(fresh), 0.02), "^", color=ORANGE, transform=floor, label="entered fresh")
+        axes.plot(
+            fresh, np.full(len(fresh), 0.02), "^", color=ORANGE, transform=floor, label="entered fresh", clip_on=False
+        )
     if again:
         first, last, entry, left = np.array([(s.first, s.last, s.loss_at_entry, s.loss_at_exit) for s in again]).T
         axes.plot([first, last], [entry, left], color=GREY, linewidth=0.8, zorder=1)
         axes.plot(first, entry, "o", markerfacecolor="none", color=BLUE, markersize=5, label="entered again")
     if stays:
-        axes.plot([s.last for s in stays], [s.loss_at_exit for s in stays], "o", color=BLUE, markersize=4, label="left")
+        last, left = np.array([(stay.last, stay.loss_at_exit) for stay in stays]).T
+        axes.plot(last, left, "o", color=BLUE, markersize=4, label="left", clip_on=False)
 
 
 def _worlds(axes: "Axes", worlds: list[dict[str, Any]]) -> None:
@@ -147,6 +151,7 @@ def _worlds(axes: "Axes", worlds: list[dict[str, Any]]) -> None:
 
 def _coverage(figure: "Figure", axes: "Axes", coverage: Mapping[str, Any]) -> None:
     from matplotlib.colors import LogNorm
+    from matplotlib.ticker import LogFormatter
 
     cells = np.array(coverage["cells"], dtype=np.float64)
     axes.set(title=f"Where the agent was: {coverage['share']:.0%} of the table", xlabel="x (m)", ylabel="y (m)")
@@ -155,7 +160,9 @@ def _coverage(figure: "Figure", axes: "Axes", coverage: Mapping[str, Any]) -> No
     axes.patch.set(hatch="///", edgecolor=GREY)
     shown = np.ma.masked_equal(cells, 0)
     image = axes.imshow(shown, cmap="cividis", norm=LogNorm(1, max(cells.max(), 2)), extent=extent)
-    figure.colorbar(image, ax=axes, label="steps (hatched: never)", shrink=0.9)
+    bar = figure.colorbar(image, ax=axes, label="steps (hatched: never)", shrink=0.9)
+    bar.ax.yaxis.set_major_formatter(LogFormatter())  # 10, not a power of it
+    bar.ax.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1, 0.4)))
 
 
 def _touches(axes: "Axes", summary: Mapping[str, Any]) -> None:
