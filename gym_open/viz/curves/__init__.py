@@ -13,6 +13,10 @@ if TYPE_CHECKING:
 
     from gym_open.viz.curves.layout import Span
     from gym_open.viz.curves.rows import Band, Row
+    from gym_open.viz.curves.sources import Learned
+
+_PROBES = 12
+"""Probes in one figure."""
 
 
 def view(config: VizConfig, sources: Sequence[Path], choice: Choice) -> View:  # noqa: ARG001  (as every view)
@@ -45,12 +49,13 @@ def view(config: VizConfig, sources: Sequence[Path], choice: Choice) -> View:  #
         **{f"report {i + 1}": words.report_document(report) for i, report in enumerate(found.reports)},
         "what was found": words.found_document(found),
     }
-    tasks = _tasks(rows, [one.group for one in policies])
+    tasks = _tasks(rows, policies)
     columns = {
         model: list(dict.fromkeys(name for one in encoders if one.group == model for name in one.curve.columns[1:]))
         for model in dict.fromkeys(one.group for one in encoders)
     }
-    figures = {drawing.path("probe", f"{i}: {one.name}"): one for i, one in enumerate(found.probed)}
+    probes = [found.probed[i : i + _PROBES] for i in range(0, len(found.probed), _PROBES)]
+    figures = {drawing.path("probes", str(i)): some for i, some in enumerate(probes)}
 
     def fill(rec: "rr.RecordingStream") -> None:
         looks = drawing.styles([row.agent for row in rows] + [one.name for one in policies])
@@ -64,8 +69,8 @@ def view(config: VizConfig, sources: Sequence[Path], choice: Choice) -> View:  #
             if "about" in kinds:
                 text = words.scores_document(task, [row for row in rows if row.task == task])
                 log_document(rec, drawing.path("about", "task", task), text)
-        for entity, probe in figures.items():
-            log_figure(rec, entity, figure.draw_probe(probe))
+        for entity, some in figures.items():
+            log_figure(rec, entity, figure.draw_probes(some))
         for title, text in documents.items():
             log_document(rec, drawing.path("about", title), text)
 
@@ -74,12 +79,15 @@ def view(config: VizConfig, sources: Sequence[Path], choice: Choice) -> View:  #
     return View(
         f"curves of {names}",
         fill,
-        layout.blueprint(tasks, columns, {entity: one.name for entity, one in figures.items()}, titles),
+        layout.blueprint(tasks, columns, list(figures), titles),
     )
 
 
-def _tasks(rows: "Sequence[Row]", trained: Sequence[str]) -> dict[str, dict[str, "Span"]]:
+def _tasks(rows: "Sequence[Row]", policies: "Sequence[Learned]") -> dict[str, dict[str, "Span"]]:
     """Which plots there are of each task, and the range of their numbers if it is not to be their own."""
+    import numpy as np
+
+    from gym_open.viz.curves.drawing import RETURN
     from gym_open.viz.curves.rows import standing
 
     kinds: dict[str, dict[str, Span]] = {}
@@ -89,8 +97,10 @@ def _tasks(rows: "Sequence[Row]", trained: Sequence[str]) -> dict[str, dict[str,
         if any(not standing(row.agent) for row in own):  # else there are no steps to draw over
             plots["score"] = _room([row.learning for row in own], 1.25)
         kinds[task] = plots
-    for task in dict.fromkeys(trained):
-        kinds.setdefault(task, {})["training"] = None
+    for task in dict.fromkeys(one.group for one in policies):
+        returns = [one.curve.known(RETURN)[1] for one in policies if one.group == task]
+        low, high = (float(end(np.concatenate(returns), initial=0.0)) for end in (np.min, np.max))
+        kinds.setdefault(task, {})["training"] = (low, 1.05 * (high or 1.0))
     return kinds
 
 

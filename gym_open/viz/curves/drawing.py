@@ -28,7 +28,7 @@ _COLOURS = ((0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (230, 1
 _GREYS = ((165, 165, 165), (90, 90, 90), (130, 130, 130))
 """Of `FIXED`."""
 _MARKERS: tuple[MarkerShapeLike, ...] = ("circle", "square", "up", "diamond", "cross", "down", "plus")
-_THICK, _THIN, _EDGE, _MARKER_SIZE = 2.5, 0.8, 0.6, 5.0
+_THICK, _THIN, _EDGE = 2.5, 0.8, 0.6
 _LEVEL_POINTS = 9
 _FAINT = 110
 """Opacity of single runs and of intervals, of 255."""
@@ -100,14 +100,14 @@ def log_encoders(rec: rr.RecordingStream, encoders: Sequence[Learned], looks: Ma
 
 
 def _band(rec: rr.RecordingStream, entity: str, style: Style, band: Band, *, marked: bool) -> None:
-    _curve(rec, f"{entity}/mean", style, band.x, band.value)
-    if marked:
-        points = rr.SeriesPoints(
-            names=printable(style.name), colors=style.colour, markers=style.marker, marker_sizes=_MARKER_SIZE
-        )
-        rec.log(f"{entity}/mean", points, static=True)
-    for end, values in (("low", band.low), ("high", band.high)):
-        _curve(rec, f"{entity}/{end}", style, band.x, values, width=_EDGE)
+    sizes = {"mean": (band.value, _THICK, 5.0), "low": (band.low, _EDGE, 1.5), "high": (band.high, _EDGE, 1.5)}
+    for part, (values, width, size) in sizes.items():
+        _curve(rec, f"{entity}/{part}", style, band.x, values, width=width)
+        if marked:  # a curve of one point would not be seen otherwise
+            points = rr.SeriesPoints(
+                names=printable(style.name), colors=style.colour, markers=style.marker, marker_sizes=size
+            )
+            rec.log(f"{entity}/{part}", points, static=True)
 
 
 def _curve(

@@ -1,9 +1,8 @@
 """What Rerun's plots cannot show: the training curve of one encoder as a figure, and probes with their intervals."""
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from gym_open.viz.charts import finish, png
 from gym_open.viz.curves.sources import Curve, Probed
@@ -46,32 +45,47 @@ def _line(axes: "Axes", curve: Curve, name: str, style: dict[str, str]) -> None:
         axes.plot(x, y, **style, marker="o" if x.size <= _FEW else "", markersize=4)  # pyright: ignore[reportArgumentType]
 
 
-def draw_probe(probe: Probed) -> bytes:
-    """PNG: the score of each target from each kind of features, with intervals, and the guess without a picture."""
-    targets = list(probe.targets.values())
-    kinds = [kind for kind in _FEATURES if any(kind in target.scores for target in targets)]
-    wide = 0.8 / max(len(kinds), 1)
+def draw_probes(probes: Sequence[Probed]) -> bytes:
+    """PNG: a panel a target with a line an encoder: its score, that of an untrained one and that of the pixels.
+
+    Bars are 95% intervals; the dotted line is the guess without a picture.
+    """
+    targets = {name: target.measure for probe in probes for name, target in probe.targets.items()}
+    across = min(3, max(len(targets), 1))
+    down = math.ceil(len(targets) / across) or 1
 
     def paint(figure: "Figure") -> None:
-        axes = figure.subplots()
-        for i, kind in enumerate(kinds):
-            there = [(place, target.scores[kind]) for place, target in enumerate(targets) if kind in target.scores]
-            x = np.array([place for place, _ in there]) + (i - (len(kinds) - 1) / 2) * wide
-            heights = [score.value for _, score in there]
-            reach = [
-                [0.0 if score.low is None else max(score.value - score.low, 0.0) for _, score in there],
-                [0.0 if score.high is None else max(score.high - score.value, 0.0) for _, score in there],
-            ]
-            colour, marker = _FEATURES[kind]
-            axes.bar(x, heights, wide * 0.92, color=colour, alpha=0.55, label=kind)
-            axes.errorbar(x, heights, yerr=reach, fmt=marker, color=colour, markersize=4, capsize=3, linewidth=1.2)
-        for place, target in enumerate(targets):
-            label = "guess without a picture" if place == 0 else None
-            axes.plot([place - 0.45, place + 0.45], [target.guess] * 2, color="black", linestyle=":", label=label)
-        axes.set(ylabel="score on worlds never seen", title=f"probe {probe.name}: 95% intervals over worlds")
-        axes.set_xticks(range(len(targets)), [f"{name}\n{target.measure}" for name, target in probe.targets.items()])
-        axes.set_ylim(min(0.0, axes.get_ylim()[0]), max(1.0, axes.get_ylim()[1]))
-        finish(axes)
-        axes.legend(frameon=False, fontsize=9, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.14))
+        panels = figure.subplots(down, across, squeeze=False, sharey=True).ravel()
+        for axes, (name, measure) in zip(panels, targets.items(), strict=False):
+            for kind, offset in zip(_FEATURES, (-0.2, 0.0, 0.2), strict=True):
+                _intervals(axes, name, kind, offset, probes)
+            for place, probe in enumerate(probes):
+                if name in probe.targets:
+                    axes.plot([probe.targets[name].guess] * 2, [place - 0.4, place + 0.4], color="black", linestyle=":")
+            axes.set(title=f"{name} ({measure})", ylim=(len(probes) - 0.5, -0.5))
+            axes.set_yticks(range(len(probes)), [probe.name for probe in probes])
+            axes.grid(axis="x", alpha=0.3, linewidth=0.6)
+        for axes in panels[len(targets) :]:
+            axes.set_axis_off()
+        axes = panels[0]
+        axes.plot([], [], color="black", linestyle=":", label="guess without a picture")
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
 
-    return png(1.6 + 1.25 * max(len(targets), 3), 4.6, paint)
+    return png(3.8 * across + 1.5, (0.9 + 0.42 * len(probes)) * down + 0.4, paint)
+
+
+def _intervals(axes: "Axes", target: str, kind: str, offset: float, probes: Sequence[Probed]) -> None:
+    there = [
+        (place + offset, probe.targets[target].scores[kind])
+        for place, probe in enumerate(probes)
+        if target in probe.targets and kind in probe.targets[target].scores
+    ]
+    values = [score.value for _, score in there]
+    reach = [
+        [0.0 if score.low is None else max(score.value - score.low, 0.0) for _, score in there],
+        [0.0 if score.high is None else max(score.high - score.value, 0.0) for _, score in there],
+    ]
+    colour, marker = _FEATURES[kind]
+    axes.errorbar(
+        values, [y for y, _ in there], xerr=reach, fmt=marker, color=colour, markersize=5, capsize=3, label=kind
+    )

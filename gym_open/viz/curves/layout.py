@@ -11,7 +11,7 @@ Span = tuple[float, float] | None
 
 
 def blueprint(
-    tasks: Mapping[str, Mapping[str, Span]], encoders: Mapping[str, Sequence[str]], figures: Mapping[str, str],
+    tasks: Mapping[str, Mapping[str, Span]], encoders: Mapping[str, Sequence[str]], figures: Sequence[str],
     documents: Mapping[str, str],
 ) -> rrb.Blueprint:  # fmt: skip
     """A tab a task, then one for encoders, one for probes, and one for each document.
@@ -20,14 +20,13 @@ def blueprint(
         tasks: of each, the plots that there are (`score`, `return`, `training`) with the range of their numbers,
             None for their own, and `about` if there is a document.
         encoders: columns of the curves of each world model.
-        figures: titles of the probes' figures, by entity.
+        figures: entities of the probes' figures.
         documents: entities of further documents, by title.
     """
     tabs: list[rrb.Container | rrb.View] = [_task(task, kinds) for task, kinds in tasks.items()]
     models = [_encoders(model, columns) for model, columns in encoders.items()]
     tabs += [rrb.Tabs(*models, name="encoders")] if models else []
-    probes = [rrb.Spatial2DView(origin=entity, name=printable(title)) for entity, title in figures.items()]
-    tabs += [rrb.Grid(*probes, name="probes")] if probes else []
+    tabs += [rrb.Spatial2DView(origin=entity, name="probes of encoders") for entity in figures]
     tabs += [rrb.TextDocumentView(origin=entity, name=title) for title, entity in documents.items()]
     return rrb.Blueprint(
         rrb.Tabs(*tabs),
