@@ -1,14 +1,17 @@
 """What decides a recording."""
 
+from typing import Literal
+
 from gym_open.config import Config, PositiveInt
 
 
 class VizConfig(Config, frozen=True):
     """Anything that gym-open makes, as a Rerun recording.
 
-    Play is thinned by one rule. Of the n steps of a stream that are to be shown, those are whose number in the stream is
-    divisible by k = ceil(n / limit), and the first of every segment. Pictures, places and series have a limit each. What
-    is counted over time (coverage) counts every step, shown or not; events, switches and losses of worlds are whole.
+    Play is thinned by one rule. Of the n steps of a stream that are to be shown, those are whose number in the stream
+    is divisible by k = ceil(n / limit), and the first of every segment. Pictures, places and series have a limit each.
+    What is counted over time (coverage) counts every step, shown or not; events, switches and losses of worlds are
+    whole.
     """
 
     max_images: PositiveInt = 2_000
@@ -19,3 +22,7 @@ class VizConfig(Config, frozen=True):
     """Limit of points a stream of each series: reward, loss and all else that is drawn as a curve."""
     trail_steps: PositiveInt = 200
     """Steps of the agent's trail on the table."""
+    film_pictures: PositiveInt = 400
+    """Limit of pictures of a film of play, at 20 a second."""
+    film_look: Literal["handsome", "observation"] = "handsome"
+    """Of films: for people, which needs OpenGL and a tenth of a second a picture, or as an agent sees it, enlarged."""

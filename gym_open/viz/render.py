@@ -10,13 +10,14 @@ from PIL import Image, ImageDraw
 
 from gym_open import progress
 from gym_open.envs import constants as c
+from gym_open.envs.look.backend import INSTALL, find_backend
 from gym_open.envs.options import WorldOptions
 from gym_open.envs.puzzles import Puzzle
 from gym_open.envs.tasks import judge, rewarded, step_budget
 from gym_open.envs.world import World
 from gym_open.errors import UsageError
 from gym_open.formats.episodes import scored_row
-from gym_open.viz.film import FAINT, FILMS, INK, PAPER, check_suffix, even, typeface, write_film, write_whole
+from gym_open.viz.film import FAINT, FILMS, INK, PAPER, check_suffix, enlarged, even, typeface, write_film, write_whole
 
 Look = Literal["handsome", "observation"]
 """`handsome` needs OpenGL; `observation` is what an agent sees, its pixels enlarged."""
@@ -215,11 +216,19 @@ def _captioned(picture: np.ndarray, title: str, moment: Moment) -> np.ndarray:
     return even(frame)
 
 
+def shown_look(look: Look) -> Look:
+    """The look that can be drawn here: without OpenGL the observation's, which is told."""
+    if look == "handsome" and find_backend() is None:
+        progress.console.print(f"no OpenGL here: drawn as an agent sees it; {INSTALL}", highlight=False, markup=False)
+        return "observation"
+    return look
+
+
 @contextmanager
 def painter(world: World, look: Look, size: int) -> Iterator[Painter]:
     """What draws the world in this look, (size, size, 3) uint8."""
     if look == "observation":
-        yield lambda world: np.asarray(Image.fromarray(world.observe()).resize((size, size), Image.Resampling.NEAREST))
+        yield lambda world: enlarged(world.observe(), size)
         return
     from gym_open.envs.look.renderer import Renderer
 

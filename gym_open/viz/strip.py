@@ -34,7 +34,8 @@ class Plot(msgspec.Struct, frozen=True, eq=False):
     """With the unit."""
     curves: list[Curve]
     level: float | None = None
-    level_label: str = "threshold"
+    counted: bool = False
+    """Whether values are whole numbers."""
 
 
 def draw_plot(axes: "Axes", plot: Plot, *, steps: bool = False) -> None:
@@ -54,9 +55,13 @@ def draw_plot(axes: "Axes", plot: Plot, *, steps: bool = False) -> None:
                 markersize=3, drawstyle="steps-post" if steps else "default",
             )  # fmt: skip
     if plot.level is not None:
-        axes.axhline(plot.level, color="#D55E00", linestyle="--", linewidth=1.2, label=plot.level_label)
+        axes.axhline(plot.level, color="#D55E00", linestyle="--", linewidth=1.2, label="threshold")
     if not there:
         axes.text(0.5, 0.5, "no data", transform=axes.transAxes, ha="center", va="center", color="#777777")
+    if plot.counted:
+        axes.yaxis.get_major_locator().set_params(integer=True)
+        axes.margins(y=0.2)
+        axes.set_ylim(min(axes.get_ylim()[0], -0.5), max(axes.get_ylim()[1], 1.5))
     axes.set_title(plot.title, fontsize=9, loc="left")
     axes.grid(alpha=0.25, linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)

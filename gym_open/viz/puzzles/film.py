@@ -7,7 +7,6 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from gym_open import progress
-from gym_open.envs.look.backend import find_backend
 from gym_open.envs.world import World
 from gym_open.viz.film import FAINT, INK, PAPER, even, typeface
 from gym_open.viz.puzzles.episodes import Episode, Puzzled
@@ -36,11 +35,6 @@ def film(played: Puzzled, look: Look) -> tuple[Iterator[np.ndarray], int]:
     """Frames (H, W, 3) uint8 of all agents at one pace, whoever is done standing still; and how many a second."""
     each = frames_a_step(played)
     return _frames(played, look, each), _STEPS_A_SECOND * each
-
-
-def shown_look(look: Look) -> Look:
-    """The look that can be drawn here: without OpenGL, the observation's."""
-    return look if find_backend() else "observation"
 
 
 def _frames(played: Puzzled, look: Look, each: int) -> Iterator[np.ndarray]:

@@ -1,0 +1,141 @@
+"""A stream of play in few pictures and numbers, read once from end to end: what films and stills are made of."""
+
+import math
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from gym_open import progress
+from gym_open.envs.puzzles import Puzzle
+from gym_open.formats.pictures import decode_png
+from gym_open.viz.play.coverage import Coverage
+from gym_open.viz.play.streams import ACTION, ENTROPY, LOSS, REWARD, VALUE, Span, Stream
+from gym_open.viz.strip import Curve, Plot
+
+_BINS = 800
+"""Points of a curve at most: each is the mean of as many steps."""
+_BLUE, _GREY, _ORANGE = "#0072B2", "#777777", "#E69F00"
+
+
+class Moment(NamedTuple):
+    """One step that is shown."""
+
+    step: int
+    world: int
+    puzzle: Puzzle
+    action: int | None
+    """That follows; None at the end."""
+    image: np.ndarray
+    """(84, 84, 3) uint8."""
+    state: np.ndarray
+    """(objects, 13)."""
+    names: tuple[str, ...]
+    coverage: np.ndarray
+    """(16, 9): steps in each cell until here, far row first."""
+
+
+class Glance(msgspec.Struct, frozen=True, eq=False):
+    """What is shown of a stream."""
+
+    stream: Stream
+    every: int
+    """Each so many-th step is a moment."""
+    moments: list[Moment]
+    series: dict[str, np.ndarray]
+    """Of each known series, means (bins,) of equally many steps; NaN where nothing is known."""
+    at: np.ndarray
+    """(bins,) the first step of each."""
+
+    def plots(self) -> list[Plot]:
+        """Reward and loss, as far as they are known, and which world the stream is in."""
+        width = len(self.stream.steps) / len(self.at)
+        mean = f", means of {width:.0f} steps" if width >= 2 else ""
+        found = list[Plot]()
+        if REWARD in self.series:
+            found.append(Plot(f"intrinsic reward{mean}", [Curve(self.at, self.series[REWARD], _BLUE)]))
+        if LOSS in self.series:
+            loss = [Curve(self.at, self.series[LOSS], _BLUE)]
+            found.append(Plot(f"world-model loss{mean}", loss, level=self.stream.threshold))
+        stays = [stay for stay in self.stream.shown_stays() if stay.steps]
+        lane = Curve(
+            np.array([step for stay in stays for step in (stay.steps.start, stay.steps.stop)]),
+            np.array([stay.world for stay in stays for _ in range(2)]),
+            _GREY,
+        )
+        return [*found, Plot(f"world of the pool, {len(stays)} segment{'s' * (len(stays) != 1)}", [lane], counted=True)]
+
+    def policy_plot(self) -> Plot | None:
+        """Entropy and value, if they are known."""
+        names = {ENTROPY: ("entropy (nats)", _BLUE, "-"), VALUE: ("value", _ORANGE, "--")}
+        known = [
+            Curve(self.at, self.series[name], hue, label, line)
+            for name, (label, hue, line) in names.items()
+            if name in self.series
+        ]
+        return Plot("policy", known) if known else None
+
+
+class _Means:
+    """Sums of series in bins of equally many steps."""
+
+    def __init__(self, stream: Stream) -> None:
+        self.start, self.total = stream.steps.start, len(stream.steps)
+        self.bins = min(_BINS, self.total)
+        self.sums = {name: np.zeros((2, self.bins)) for name in (REWARD, LOSS, ENTROPY, VALUE) if name in stream.known}
+
+    def add(self, span: Span) -> None:
+        """Add a span's steps; what is not finite counts nowhere."""
+        where = (np.asarray(span.steps) - self.start) * self.bins // self.total
+        for name, (sums, counts) in self.sums.items():
+            there = np.isfinite(span.series[name])
+            np.add.at(sums, where[there], span.series[name][there])
+            np.add.at(counts, where[there], 1)
+
+    def means(self) -> dict[str, np.ndarray]:
+        """Of each series (bins,), NaN where nothing was known."""
+        with np.errstate(invalid="ignore"):
+            return {name: sums / counts for name, (sums, counts) in self.sums.items()}
+
+
+def glance(stream: Stream, limit: int) -> Glance:
+    """Read a stream, or the part of it that was picked.
+
+    Args:
+        stream: to be read.
+        limit: of moments: every k-th step is one, k = ceil(steps / limit), and the last.
+
+    Raises:
+        ArtefactError: if it is damaged where it was not when it was opened.
+    """
+    steps, total = stream.steps, len(stream.steps)
+    every = math.ceil(total / limit)
+    means, coverage, moments = _Means(stream), Coverage(), list[Moment]()
+    with progress.bar("read", total) as bar:
+        for span in stream.spans(steps):
+            means.add(span)
+            number = np.arange(len(span.steps))
+            shown = number[(span.first_step + number - steps.start) % every == 0]
+            if span.steps.stop == steps.stop:
+                shown = np.append(shown, len(number))
+            moments += _moments(span, shown, coverage)
+            bar.advance(len(number))
+    at = steps.start + np.arange(means.bins) * total / means.bins
+    return Glance(stream, every, moments, means.means(), at)
+
+
+def _moments(span: Span, shown: np.ndarray, coverage: Coverage) -> list[Moment]:
+    """Those of these numbers, 0…T of the span; all of its steps are counted in `coverage`."""
+    places, done, found = span.states[1:, span.names.index("agent")], 0, list[Moment]()
+    for index, png in zip(shown.tolist(), span.pngs(shown) if shown.size else [], strict=True):
+        coverage.add(places[done:index])
+        done = index
+        action = int(span.series[ACTION][index]) if index < len(places) else None
+        found.append(
+            Moment(
+                step=span.first_step + index, world=span.world, puzzle=span.puzzle, action=action,
+                image=decode_png(png), state=span.states[index], names=span.names, coverage=coverage.counts.copy(),
+            )
+        )  # fmt: skip
+    coverage.add(places[done:])
+    return found
