@@ -1,0 +1,146 @@
+"""Reading part of a log: steps that were asked for, and what is whole of a damaged one."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gym_open.formats.logs import LogWriter, Segment, SegmentStart, StepRecord, Stuck, Switch, open_log, open_whole_part
+from gym_open.formats.logs import logfile as module
+from gym_open.formats.logs.container import read_contents
+from gym_open.formats.logs.repair import repair
+from gym_open.formats.logs.schemas import LogError
+
+
+@pytest.fixture(scope="module")
+def chunked(made_up: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One file of 27 steps with a chunk every 5 records."""
+    folder = tmp_path_factory.mktemp("log")
+    with LogWriter(folder, made_up.head) as log:
+        for number, record in enumerate(made_up.records(pictures=True, steps=3)):
+            {SegmentStart: log.segment, StepRecord: log.step, Switch: log.switch, Stuck: log.stuck}[type(record)](
+                record
+            )
+            if number % 5 == 4:
+                log.flush()
+    return next(folder.glob("*.mcap"))
+
+
+def by_step(pieces: Iterator[Segment]) -> dict[int, tuple[Any, ...]]:
+    """What each step holds, by its number."""
+    found: dict[int, tuple[Any, ...]] = {}
+    for item in pieces:
+        for i, action in enumerate(item.actions.tolist()):
+            seen = tuple(
+                array[i + 1].tobytes() for array in (item.images, item.depth, item.object_state) if array is not None
+            )
+            found[item.first_step + i] = (action, item.world, item.index, item.contacts[i], seen)
+    return found
+
+
+@pytest.mark.parametrize("max_steps", [None, 2])
+@pytest.mark.parametrize("steps", [range(1), range(11, 12), range(5, 13), range(12, 21), range(20, 99), range(27)])
+def test_only_steps_that_were_asked_for_are_read(chunked: Path, steps: range, max_steps: int | None) -> None:
+    log = open_log(chunked)
+    every = by_step(log.segments())
+    found = by_step(log.segments(max_steps, steps))
+    assert {step: found[step] for step in steps if step < 27} == {step: every[step] for step in steps if step < 27}
+    assert all(every[step] == value for step, value in found.items())
+    assert min(found) > steps.start - 2  # a keyframe every two steps
+    assert max(found) < steps.stop
+
+
+def test_other_chunks_are_not_unpacked(chunked: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log, total = open_log(chunked), len(read_contents(chunked).chunks)
+    unpacked: list[int] = []
+    real = module.read_chunk
+
+    def counted(path: Path, place: Any, topics: Any) -> Any:
+        unpacked.append(place.offset)
+        return real(path, place, topics)
+
+    monkeypatch.setattr(module, "read_chunk", counted)
+    assert 20 in by_step(log.segments(None, range(20, 21)))
+    assert total > 8
+    assert len(set(unpacked)) <= 4
+
+
+def test_steps_of_a_later_part_do_not_open_the_ones_before(
+    made_up: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parts = made_up.write(tmp_path, made_up.records(steps=3), roll_bytes=1)
+    log, opened = open_log(parts), set()
+    real = module.read_chunk
+    monkeypatch.setattr(
+        module, "read_chunk", lambda path, place, topics: (opened.add(path), real(path, place, topics))[1]
+    )
+    assert 20 in by_step(log.segments(None, range(20, 21)))
+    assert len(opened) <= 3 < len(parts)
+
+
+@pytest.mark.parametrize("share", [0.35, 0.5, 0.8, 0.97])
+def test_a_log_that_is_cut_off_is_read_up_to_there(chunked: Path, share: float, tmp_path: Path) -> None:
+    """`log repair` finds by its own walk what is whole."""
+    cut = tmp_path / "stream-002-000.mcap"
+    raw = chunked.read_bytes()
+    cut.write_bytes(raw[: int(share * len(raw))])
+    log = open_whole_part([cut])
+    fixed = repair(cut)
+    assert fixed.saved is not None
+    saved = open_log(fixed.saved)
+    assert by_step(log.segments()) == by_step(saved.segments())
+    assert (log.n_steps, log.stuck) == (fixed.steps, saved.stuck)
+    assert log.switches == saved.switches[: len(log.switches)]
+    assert log.damage is not None
+    assert f"byte {fixed.offset:,}" in log.damage
+
+
+def test_changed_bytes_end_a_log_before_them(chunked: Path, tmp_path: Path) -> None:
+    raw, place = bytearray(chunked.read_bytes()), read_contents(chunked).chunks[5]
+    raw[place.offset + 60] ^= 1
+    changed = tmp_path / "stream-002-000.mcap"
+    changed.write_bytes(raw)
+    log = open_whole_part([changed])
+    assert log.damage is not None
+    assert f"byte {place.offset:,}" in log.damage
+    found, every = by_step(log.segments()), by_step(open_log(chunked).segments())
+    assert 0 < len(found) == log.n_steps < 27
+    assert found == {step: every[step] for step in range(len(found))}
+
+
+def test_a_whole_log_is_not_damaged(chunked: Path) -> None:
+    log = open_whole_part([chunked])
+    assert log.damage is None
+    assert by_step(log.segments()) == by_step(open_log(chunked).segments())
+
+
+def test_what_comes_before_a_missing_part_is_read(made_up: Any, tmp_path: Path) -> None:
+    parts = made_up.write(tmp_path, made_up.records(steps=3), roll_bytes=1)
+    every = by_step(open_log(parts).segments())
+    before = open_whole_part([*parts[:2], *parts[3:]])
+    assert before.damage is not None
+    assert "missing" in before.damage
+    found = by_step(before.segments())
+    assert found == {step: every[step] for step in range(before.n_steps)}
+    last = open_whole_part(parts[:2])
+    assert last.damage == f"{parts[2].name}, in which it goes on, is missing"
+    assert open_whole_part([parts[2]]).damage is None  # one part alone is looked at as such
+
+
+def test_a_log_without_its_end_says_so(made_up: Any, tmp_path: Path) -> None:
+    parts = made_up.write(tmp_path, made_up.records(steps=3)[:-1])
+    log = open_whole_part(parts)
+    assert log.damage == "it has no last switch: its writer was not finished"
+    assert len(by_step(log.segments())) == log.n_steps == 27
+
+
+def test_nothing_whole_is_refused(chunked: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "stream-002-000.mcap"
+    cut.write_bytes(chunked.read_bytes()[:500])
+    with pytest.raises(LogError, match="no step before it is whole"):
+        open_whole_part([cut])
+    cut.write_bytes(np.zeros(500, np.uint8).tobytes())
+    with pytest.raises(LogError, match="stream-002-000"):
+        open_whole_part([cut])
