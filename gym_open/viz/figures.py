@@ -70,7 +70,7 @@ def _exploration(axes: "Axes", log: Path) -> None:
         "world_loss": {"color": MEASURED, "linewidth": 1.8, "label": "of the worlds in play"},
     }.items():
         if np.isfinite(curve[name]).any():  # there is none without a world model
-            axes.plot(curve["step"], curve[name], **style)
+            axes.plot(curve["step"], curve[name], **style, marker="o" if len(curve["step"]) == 1 else "")
     if curriculum["rule"] == "loss" and curriculum["threshold"] > 0:
         axes.axhline(curriculum["threshold"], color=THRESHOLD, linestyle="--", label="threshold: world learned")
     if at := _switch_steps(summary["segments"]):
