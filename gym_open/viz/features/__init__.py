@@ -39,10 +39,10 @@ def view(config: VizConfig, source: Path, choice: Choice) -> View:  # noqa: ARG0
     from gym_open.viz.features import layout
 
     choice.refuse_others("an encoder", {"release"})
-    artefacts.verify(source)
+    artefacts.verify(source, hashed=lambda name: not name.endswith(".mcap"))  # of a log, only its encoder is read
     encoder = _load(source)
     release = None if choice.release is None else open_release(choice.release)
-    curve = read_curve(source)
+    curve, name = read_curve(source), source.resolve().name
 
     def fill(rec: "rr.RecordingStream") -> None:
         from gym_open.viz.curves.figure import draw_curve
@@ -51,22 +51,24 @@ def view(config: VizConfig, source: Path, choice: Choice) -> View:  # noqa: ARG0
         from gym_open.viz.features.frames import of_random_play, of_release
         from gym_open.viz.features.words import document, draw_variance
         from gym_open.viz.pages import log_document, log_figure
+        from gym_open.viz.play.documents import lineage, settings
 
         frames = of_random_play() if release is None else of_release(release)
         both = {TRAINED: encoder, UNTRAINED: _untrained(encoder)}
-        looked = {name: analyse(_features(one, frames.images)) for name, one in both.items()}
+        looked = {which: analyse(_features(one, frames.images)) for which, one in both.items()}
         drawing.log_pictures(rec, frames, looked)
         colours = drawing.colours_of(frames)
-        for name, analysis in looked.items():
-            drawing.log_cloud(rec, name, frames, analysis, colours)
+        for which, analysis in looked.items():
+            drawing.log_cloud(rec, which, frames, analysis, colours)
         log_document(rec, "about/features", document(encoder.config, frames, looked))
         log_figure(rec, "about/variance", draw_variance(looked))
         if curve is not None:
             log_figure(rec, "about/learning", draw_curve(curve))
+        config = settings(f"Configuration of {name}", {}, artefacts.config_of(source))
+        rec.log("about/config", config, static=True)
+        rec.log("about/lineage", lineage(f"Lineage of {name}", artefacts.lineage(source), {}), static=True)
 
-    return View(
-        f"features of {source.resolve().name}", fill, layout.blueprint((TRAINED, UNTRAINED), curve=curve is not None)
-    )
+    return View(f"features of {name}", fill, layout.blueprint((TRAINED, UNTRAINED), curve=curve is not None))
 
 
 def _load(source: Path) -> "Encoder":

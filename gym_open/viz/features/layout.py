@@ -37,6 +37,8 @@ def blueprint(names: Sequence[str], *, curve: bool) -> rrb.Blueprint:
     ]
     if curve:
         tabs.append(rrb.Spatial2DView(origin="/about/learning", name="training curves"))
+    tabs.append(rrb.TextDocumentView(origin="/about/config", name="configuration"))
+    tabs.append(rrb.TextDocumentView(origin="/about/lineage", name="lineage"))
     return rrb.Blueprint(
         rrb.Tabs(*tabs),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, sequence_cursor=0, fps=2.0),
