@@ -1,0 +1,182 @@
+"""Makes the pictures of gallery.md: a small run of everything, and what `gym-open viz` shows of it.
+
+    python docs/make_gallery.py                 about a quarter of an hour on two cores
+    python docs/make_gallery.py --run DIR       keeps the run there, or takes the one that is there
+
+Rerun's views are photographed in headless Chromium. Without one, films and stills are made, and it is said what is not.
+"""
+
+import argparse
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from contextlib import ExitStack
+from io import BytesIO
+from pathlib import Path
+from typing import NamedTuple
+
+from browser import Browser, find
+from PIL import Image
+
+from gym_open import workspace
+
+PICTURES = Path(__file__).parent / "pictures" / "gallery"
+WIDTH, HEIGHT = 1440, 900
+MOST_BYTES = 150_000
+CONFIGURATIONS = {
+    "collect/gallery.toml": """
+        steps = 8192
+        streams = 2
+        pool = 6
+        explorer = {world_model = "icm", reward = "error", share_encoder = true}
+        curriculum = {threshold = 0.002}
+        log = {depth = true, segmentation = true}
+    """,
+    "train/gallery-encoder.toml": """
+        world_model = "icm"
+        updates = 300
+        report_every = 20
+        batch_size = 64
+    """,
+    "train/gallery-probe.toml": """
+        train_worlds = 200
+        validation_worlds = 60
+        test_worlds = 120
+    """,
+    "gallery.toml": """
+        tasks = ["goal-seeking"]
+        seeds = [0, 1]
+        policy_steps = 40960
+        checkpoints = [20480]
+        probe = "train/gallery-probe.toml"
+        [[agents]]
+        name = "state"
+        policy = "train/policy-state.toml"
+        [[agents]]
+        name = "icm"
+        collect = "collect/gallery.toml"
+        encoder = "train/gallery-encoder.toml"
+        play_seed = 0
+        policy = "train/policy-strong.toml"
+    """,
+}
+LOG, RELEASE = "collect/logs/gallery-seed0", "datasets/open/gallery-seed0/1.0.0"
+DAMAGED = "stream-000-000.mcap"
+ENCODER = "train/encoders/gallery-encoder-of-gallery-seed0"
+SCORES = ["evaluate/scores/state-goal-seeking-seed0", "evaluate/scores/icm-goal-seeking-seed0"]
+REFERENCES = ["evaluate/scores/random-goal-seeking", "evaluate/scores/oracle-goal-seeking"]
+POLICIES = [f"train/policies/{agent}-goal-seeking-seed{seed}" for agent in ("state", "icm") for seed in (0, 1)]
+PUZZLE = ["--puzzle", "goal-seeking/017"]
+
+
+class Shot(NamedTuple):
+    """One view: the picture's name, what `gym-open viz` is given, and where is clicked before it is taken."""
+
+    name: str
+    words: list[str]
+    clicks: tuple[tuple[int, int], ...] = ()
+
+
+SHOTS = (
+    Shot("log", [LOG, "--stream", "0"]),
+    Shot("damaged", [DAMAGED]),
+    Shot("episode", [RELEASE, "--episode", "3"]),
+    Shot("puzzle", [*SCORES, *PUZZLE]),
+    Shot("policy", [POLICIES[0], *PUZZLE]),
+    Shot("scores", [*SCORES, *REFERENCES]),
+    Shot("encoder", [ENCODER, "--release", RELEASE]),
+    Shot("policies", POLICIES),
+    Shot("probe", ["train/probes/gallery-encoder-of-gallery-seed0"]),
+    Shot("benchmark", ["."]),
+)
+FILES = {
+    "still-log.png": [LOG, "--png"],
+    "still-puzzle.png": [*SCORES, *PUZZLE, "--png"],
+    "film-puzzle.gif": [*SCORES, *PUZZLE, "--video"],
+}
+
+
+def main() -> int:
+    """Make all, or those that are named."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--run", type=Path, help="folder that the run is made in, or was made in before")
+    parser.add_argument("names", nargs="*", help="which pictures; all by default")
+    options = parser.parse_args()
+    with ExitStack() as stack:
+        root = options.run or Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        run = make_run(root.absolute())
+        chosen: Callable[[str], bool] = lambda name: not options.names or name in options.names  # noqa: E731
+        for name, words in FILES.items():
+            if chosen(name):
+                gym_open("viz", *words, str(PICTURES / name), folder=run)
+        program = find()
+        if program is None:
+            print("no Chromium here: the pictures of Rerun's views stay as they are")
+            return 1
+        for shot in SHOTS:
+            if chosen(shot.name):
+                keep(PICTURES / f"{shot.name}.png", photograph(program, shot, run))
+    return 0
+
+
+def make_run(root: Path) -> Path:
+    """A grid of two agents, with all that it needs; its folder, with a damaged log beside the others."""
+    if not (root / "gallery.toml").exists():
+        workspace.init(root)
+        for name, text in CONFIGURATIONS.items():
+            (root / name).write_text(text)
+    if not (root / "run" / "report").exists():
+        gym_open("benchmark", "gallery.toml", "--out", "run", folder=root)
+    whole = (root / "run" / LOG / DAMAGED).read_bytes()
+    (root / "run" / DAMAGED).write_bytes(whole[: len(whole) * 2 // 3])
+    return root / "run"
+
+
+def gym_open(*words: str, folder: Path) -> None:
+    """Run a command in a folder, and stop with it if it fails."""
+    subprocess.run(command(*words), cwd=folder, check=True)  # noqa: S603  (our own command)
+
+
+def command(*words: str) -> list[str]:
+    """What starts `gym-open` with these words."""
+    return [sys.executable, "-m", "gym_open.cli", *words]
+
+
+def photograph(program: str, shot: Shot, folder: Path) -> bytes:
+    """PNG of a view in Rerun's web viewer."""
+    words = command("viz", *shot.words, "--web")
+    with subprocess.Popen(words, cwd=folder, stdout=subprocess.PIPE, text=True) as viewer:  # noqa: S603
+        try:
+            assert viewer.stdout is not None
+            said = next((line for line in viewer.stdout if "http://" in line), "")
+            address = re.search(r"http://127\.0\.0\.1:\d+", said)
+            if address is None:
+                raise SystemExit(f"{shot.name}: gym-open viz has not served it")
+            with Browser(program, WIDTH, HEIGHT) as browser:
+                browser.open(address[0])
+                picture = browser.still()
+                for x, y in shot.clicks:
+                    browser.click(x, y)
+                    picture = browser.still()
+        finally:
+            viewer.terminate()
+    return picture
+
+
+def keep(path: Path, picture: bytes) -> None:
+    """Write the picture with as many colours as a small file has room for."""
+    image = Image.open(BytesIO(picture)).convert("RGB")
+    for colours in (256, 128, 64, 32):
+        small = BytesIO()
+        image.quantize(colours, dither=Image.Dither.NONE).save(small, "PNG", optimize=True)
+        if len(small.getvalue()) < MOST_BYTES:
+            break
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(small.getvalue())
+    print(f"{path}: {len(small.getvalue()) / 1000:.0f} kB, {colours} colours")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
