@@ -31,15 +31,21 @@ _GLANCE = 64
 """Steps that are read to see what is recorded at all."""
 
 
-def open_streams(source: Path) -> list[Stream]:
-    """The streams of the log at `source`, or the one of a single file; nothing is read but their beginnings.
+def open_streams(source: Path, only: int | None = None) -> list[Stream]:
+    """The streams of the log at `source`, or the one of a single file; all bytes are checked, few are unpacked.
+
+    Args:
+        source: folder or file.
+        only: number of a stream; others are not opened, if it is there.
 
     Raises:
         ArtefactError: if there is no log, or one in which no step is whole.
     """
     if source.is_file():
         return [_stream(open_whole_part([source]))]
-    return [_stream(open_whole_part(list(parts.values()))) for parts in found_files(source).values()]
+    found = found_files(source)
+    wanted = [only] if only in found else [*found]
+    return [_stream(open_whole_part(list(found[stream].values()))) for stream in wanted]
 
 
 def _stream(log: Log) -> Stream:

@@ -56,7 +56,7 @@ def open_streams(source: Path, choice: Choice) -> tuple[str, list[Stream]]:
     else:
         choice.refuse_others("a log", {"stream", "segment", "steps"})
         title = source.name
-        streams = chosen(logs.open_streams(source), choice, source)
+        streams = chosen(logs.open_streams(source, choice.stream), choice, source)
     return title, streams
 
 
