@@ -12,7 +12,7 @@ from gym_open.envs.puzzles import Puzzle
 from gym_open.envs.world import World
 from gym_open.viz.film import FAINT, INK, PAPER, coverage_picture, enlarged, even, typeface
 from gym_open.viz.glance import Glance, Moment
-from gym_open.viz.render import DIRECTIONS, Look, painter
+from gym_open.viz.render import DIRECTIONS, Look, painter, pose
 from gym_open.viz.strip import Strip
 
 FPS = 20
@@ -55,7 +55,7 @@ def _painter(moments: list[Moment], look: Look) -> Iterator[Draw]:
         if moment.puzzle is not loaded:
             world.load(moment.puzzle)
             loaded = moment.puzzle
-        world.data.qpos[:] = moment.state[:, :7].ravel()
+        pose(world, moment.state)
         return paint(world)
 
     with painter(world, look, _LARGE) as paint:

@@ -173,6 +173,18 @@ def scored_actions(scores: Path, puzzle_id: str) -> list[int]:
     return scored_row(scores, puzzle_id)["actions"]
 
 
+def pose(world: World, state: np.ndarray, touched: Iterable[str] = ()) -> None:
+    """Show a loaded world as it was recorded, which nothing is simulated of.
+
+    Args:
+        world: that is only drawn from then on.
+        state: (objects, 13) of its inventory: position (m), quaternion, velocities.
+        touched: goals that were hit by then.
+    """
+    world.data.qpos[:] = state[:, :7].ravel()
+    world.stepper.hit[:] = np.isin(world.inventory, list(touched))
+
+
 def moments(
     world: World, puzzle: Puzzle, actions: Iterable[int], frames_per_step: int
 ) -> Iterator[tuple[World, Moment]]:
