@@ -5,7 +5,7 @@ steps of fine-tuning, actions of an episode, gradient updates of an encoder.
 
     score/<task>/<agent>/{mean, low, high}                                      A-Success
     return/<task>/<agent>/{mean, low, high}                                     mean return within so many actions
-    training/<task>/<agent>/{mean, runs/<seed>}                                 mean return of training episodes
+    training/<task>/<agent>/{mean, runs/<run>}                                  mean return of training episodes
     encoder/<world model>/<column>/<encoder>                                    figures of world models
 """
 
@@ -84,7 +84,7 @@ def log_policies(rec: rr.RecordingStream, policies: Sequence[Learned], looks: Ma
         curves = [run.curve.known(RETURN) for run in runs]
         if len(runs) > 1:
             for i, (run, (x, y)) in enumerate(zip(runs, curves, strict=True)):
-                name = f"{i}: seed {run.seed}"
+                name = f"{i}-seed-{run.seed}"
                 _curve(rec, path("training", task, agent, "runs", name), looks[agent], x, y, width=_THIN)
         common = sorted(set.intersection(*(set(x.tolist()) for x, _ in curves)))
         mean = np.mean([y[np.isin(x, common)] for x, y in curves], axis=0)
