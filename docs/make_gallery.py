@@ -23,15 +23,15 @@ from PIL import Image
 from gym_open import workspace
 
 PICTURES = Path(__file__).parent / "pictures" / "gallery"
-WIDTH, HEIGHT = 1440, 900
+WIDTH, HEIGHT = 1280, 800
 MOST_BYTES = 150_000
 CONFIGURATIONS = {
     "collect/gallery.toml": """
-        steps = 8192
+        steps = 4096
         streams = 2
-        pool = 6
+        pool = 8
         explorer = {world_model = "icm", reward = "error", share_encoder = true}
-        curriculum = {threshold = 0.002}
+        curriculum = {threshold = 0.0118}
         log = {depth = true, segmentation = true}
     """,
     "train/gallery-encoder.toml": """
@@ -111,6 +111,8 @@ def main() -> int:
         for name, words in FILES.items():
             if chosen(name):
                 gym_open("viz", *words, str(PICTURES / name), folder=run)
+                if name.endswith(".png"):
+                    keep(PICTURES / name, (PICTURES / name).read_bytes())
         program = find()
         if program is None:
             print("no Chromium here: the pictures of Rerun's views stay as they are")
