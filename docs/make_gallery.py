@@ -25,6 +25,8 @@ from gym_open import workspace
 PICTURES = Path(__file__).parent / "pictures" / "gallery"
 WIDTH, HEIGHT = 1280, 800
 MOST_BYTES = 150_000
+PATIENCE = 400.0
+"""Seconds for one view, on a machine that has other work and no graphics card."""
 CONFIGURATIONS = {
     "collect/gallery.toml": """
         steps = 4096
@@ -80,7 +82,7 @@ class Shot(NamedTuple):
 
 
 SHOTS = (
-    Shot("log", [LOG, "--stream", "0"]),
+    Shot("log", [LOG, "--stream", "0", "--steps", "300:700"]),
     Shot("damaged", [DAMAGED]),
     Shot("episode", [RELEASE, "--episode", "3"]),
     Shot("puzzle", [*SCORES, *PUZZLE]),
@@ -158,10 +160,10 @@ def photograph(program: str, shot: Shot, folder: Path) -> bytes:
                 raise SystemExit(f"{shot.name}: gym-open viz has not served it")
             with Browser(program, WIDTH, HEIGHT) as browser:
                 browser.open(address[0])
-                picture = browser.still()
+                picture = browser.still(limit=PATIENCE)
                 for x, y in shot.clicks:
                     browser.click(x, y)
-                    picture = browser.still()
+                    picture = browser.still(limit=PATIENCE)
         finally:
             viewer.terminate()
     return picture
@@ -172,7 +174,8 @@ def keep(path: Path, picture: bytes) -> None:
     image = Image.open(BytesIO(picture)).convert("RGB")
     for colours in (256, 128, 64, 32):
         small = BytesIO()
-        image.quantize(colours, dither=Image.Dither.NONE).save(small, "PNG", optimize=True)
+        few = image.quantize(colours, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+        few.save(small, "PNG", optimize=True)
         if len(small.getvalue()) < MOST_BYTES:
             break
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -108,14 +108,17 @@ def _stream(view: View, connect: Callable[[rr.RecordingStream], None]) -> None:
         _LostError: if not all of it came there.
     """
     rec = rr.RecordingStream(f"{APPLICATION}: {view.title}")  # an application of its own: so is its layout
-    with _lost():
-        connect(rec)
-        rec.send_recording_name(view.title)
-        rec.send_blueprint(view.blueprint)
-    view.fill(rec)
-    with _lost():
-        rec.flush()
-        rec.disconnect()
+    try:
+        with _lost():
+            connect(rec)
+            rec.send_recording_name(view.title)
+            rec.send_blueprint(view.blueprint)
+        view.fill(rec)
+        with _lost():
+            rec.flush()
+    finally:
+        with suppress(RuntimeError):  # what was lost has been told
+            rec.disconnect()
 
 
 @contextmanager
