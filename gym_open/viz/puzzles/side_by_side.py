@@ -37,30 +37,24 @@ def side_by_side(config: VizConfig, played: Puzzled) -> View:
         longest = max(episode.steps for episode in played.episodes)
         for number, episode in enumerate(played.episodes):
             log_agent(rec, played.puzzle, episode, number, longest)
-        _log_events(rec, played)
+            _log_events(rec, number, episode)
 
     return View(played.id, fill, _layout(config, played))
 
 
-def _log_events(rec: rr.RecordingStream, played: Puzzled) -> None:
-    """Touches and ends in words, in the order of steps."""
-    events = [
-        (step, rr.TextLogLevel.INFO, f"{episode.name}: touches {', '.join(names)}, return {episode.returns[step]:g}")
-        for episode in played.episodes
+def _log_events(rec: rr.RecordingStream, number: int, episode: Episode) -> None:
+    """Touches and the end in words."""
+    found = {
+        step: f"{episode.name}: touches {', '.join(names)}, return {episode.returns[step]:g}"
         for step, names in enumerate(episode.touched, 1)
         if names
-    ]
-    events += [
-        (
-            episode.steps,
-            rr.TextLogLevel.INFO if episode.terminated and not episode.in_danger else rr.TextLogLevel.WARN,
-            f"{episode.name}: {episode.outcome}",
-        )
-        for episode in played.episodes
-    ]
-    events.sort(key=lambda event: event[0])
-    steps, levels, words = (list(column) for column in zip(*events, strict=True))
-    rec.send_columns("events", times(steps), rr.TextLog.columns(text=words, level=levels))
+    }
+    levels = dict.fromkeys(found, rr.TextLogLevel.INFO)
+    at_end, solved = found.get(episode.steps), episode.terminated and not episode.in_danger
+    found[episode.steps] = f"{at_end}: {episode.outcome}" if at_end else f"{episode.name}: {episode.outcome}"
+    levels[episode.steps] = rr.TextLogLevel.INFO if solved else rr.TextLogLevel.WARN
+    columns = rr.TextLog.columns(text=list(found.values()), level=list(levels.values()))
+    rec.send_columns(f"events/{number}", times(list(found)), columns)
 
 
 def _about(played: Puzzled) -> str:

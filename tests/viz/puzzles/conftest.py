@@ -1,0 +1,126 @@
+"""Scores of three puzzles that are solved, given up and failed; a policy, and what it did of them."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+import torch
+
+from gym_open import artefacts
+from gym_open.agents.config import EncoderConfig
+from gym_open.agents.encoder import Encoder
+from gym_open.agents.policy import ActorCritic
+from gym_open.config import Config
+from gym_open.envs.constants import MOVES, cell_centre
+from gym_open.envs.env import OpenEnv
+from gym_open.envs.puzzles import Puzzle, Task
+from gym_open.envs.puzzles.sets import puzzle_id, puzzles_of
+from gym_open.envs.puzzles.witnesses import witnesses_of
+from gym_open.evaluate.proof import oracle_proof
+from gym_open.evaluate.scores import Episodes, summarise, write_episodes, write_scores
+from gym_open.formats.models import save_policy
+from gym_open.formats.scores import Scores
+
+TASK: Task = "avoidance"
+BUDGET = 100
+SOLVED, GIVEN_UP, FAILED = (puzzle_id(TASK, "test", i) for i in range(3))
+
+
+class Made(Config, frozen=True):
+    """Stands for any stage's configuration."""
+
+    name: str
+
+
+class Source(NamedTuple):
+    """Scores, and what was played in them."""
+
+    path: Path
+    actions: list[list[int]]
+    rewards: list[list[float]]
+
+
+def into_the_patch(puzzle: Puzzle) -> list[int]:
+    """Straight towards the danger patch, cell by cell."""
+    assert puzzle.patch
+    env, goal, found = OpenEnv(TASK), np.array(cell_centre(puzzle.patch.row, puzzle.patch.column)), []
+    env.reset(options={"puzzle": puzzle})
+    while not env.ended:
+        there = env.world.object_state()[env.world.inventory.index("agent"), :2]
+        found.append(MOVES.index(tuple(np.rint((goal - there) / 0.141).clip(-1, 1).astype(int).tolist())))
+        env.step(found[-1])
+    return found
+
+
+def make_scores(out: Path, agent: str, sequences: Sequence[Sequence[int]], policy: str | None = None) -> Source:
+    """Scores of the first puzzles of the task, played with these actions."""
+    puzzles = puzzles_of(TASK, "test")[: len(sequences)]
+    n = len(sequences)
+    actions, rewards = np.full((n, BUDGET), -1, np.int8), np.zeros((n, BUDGET))
+    steps, terminated = np.zeros(n, np.int64), np.zeros(n, bool)
+    env = OpenEnv(TASK)
+    for i, (puzzle, sequence) in enumerate(zip(puzzles, sequences, strict=True)):
+        env.reset(options={"puzzle": puzzle})
+        for t, action in enumerate(sequence):
+            _, rewards[i, t], terminated[i], _, _ = env.step(action)
+            actions[i, t], steps[i] = action, t + 1
+        assert env.ended
+    played = Episodes(actions, rewards, steps, terminated)
+    record = Scores(
+        task=TASK, split="test", agent=agent, seed=3, evaluation_seed=0, trained=20_480, actions="sampled",
+        policy=policy, proof=oracle_proof(), code="test", hardware={"cores": 1}, **summarise(played),
+    )  # fmt: skip
+
+    def work(folder: Path) -> Mapping[str, Any]:
+        write_scores(folder, record)
+        write_episodes(folder, [puzzle_id(TASK, "test", i) for i in range(n)], puzzles, played)
+        return {"task": TASK, "split": "test", "agent": agent}
+
+    path = artefacts.build(out, kind="scores", config=Made(name=agent), parents=[], work=work).path
+    return Source(path, [list(each) for each in sequences], [rewards[i, : steps[i]].tolist() for i in range(n)])
+
+
+@pytest.fixture(scope="session")
+def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    network = ActorCritic(Encoder(EncoderConfig(features=8), torch.Generator().manual_seed(1)), 9, torch.Generator())
+    with torch.no_grad():
+        network.actor.weight.mul_(20)  # so that some actions are likelier than others
+
+    def work(folder: Path) -> Mapping[str, Any]:
+        save_policy(folder, network)
+        return {"task": TASK, "agent": "small", "seed": 3, "steps": 20_480}
+
+    out = tmp_path_factory.mktemp("policy") / "policy"
+    return artefacts.build(out, kind="policy", config=Made(name="policy"), parents=[], work=work).path
+
+
+@pytest.fixture(scope="session")
+def scores(policy: Path, tmp_path_factory: pytest.TempPathFactory) -> Source:
+    """One puzzle solved, one given up, one failed; they say that the policy did it."""
+    puzzles = puzzles_of(TASK, "test")
+    sequences = [list(witnesses_of(TASK, "test")[0].actions), [0] * BUDGET, into_the_patch(puzzles[2])]
+    return make_scores(tmp_path_factory.mktemp("scores") / "scores", "small", sequences, artefacts.digest(policy))
+
+
+@pytest.fixture(scope="session")
+def others(tmp_path_factory: pytest.TempPathFactory) -> Source:
+    """Another agent, which solves the second puzzle alone."""
+    sequences = [[0] * BUDGET, list(witnesses_of(TASK, "test")[1].actions)]
+    return make_scores(tmp_path_factory.mktemp("others") / "scores", "other", sequences)
+
+
+@pytest.fixture(scope="session")
+def seal() -> Callable[[Path], None]:
+    """Makes the manifest of a folder anew, so that its bytes are as it says."""
+
+    def sealed(folder: Path) -> None:
+        entries = {
+            path.name: artefacts.Entry(sha256=artefacts.sha256_file(path), bytes=path.stat().st_size)
+            for path in folder.iterdir()
+            if path.name != artefacts.MANIFEST
+        }
+        (folder / artefacts.MANIFEST).write_bytes(artefacts.canonical_json(entries))
+
+    return sealed
