@@ -146,7 +146,7 @@ def _log_axes(rec: rr.RecordingStream, name: str, analysis: Analysis) -> None:
     titles = [f"PC {i + 1} ({share:.0%})" for i, share in enumerate(shares)]
     lines = np.stack([-ends, ends], axis=1)
     rec.log(f"{name}/plane/axes", rr.LineStrips2D([flat(line) for line in lines[:2]], colors=GREY), static=True)
-    tips = rr.Points2D(flat(0.9 * ends[:2]), labels=titles[:2], show_labels=True, radii=0.0, colors=GREY)
+    tips = rr.Points2D(flat(0.8 * ends[:2]), labels=titles[:2], show_labels=True, radii=0.0, colors=GREY)
     rec.log(f"{name}/plane/titles", tips, static=True)
     rec.log(f"{name}/space/axes", rr.LineStrips3D(lines, colors=GREY), static=True)
     tips = rr.Points3D(0.9 * ends, labels=titles, show_labels=True, radii=0.0, colors=GREY)

@@ -26,8 +26,8 @@ def test_every_job_of_a_plan_is_found_where_it_lies(file: Path) -> None:
 def test_states_are_told_apart(write: Write) -> None:
     names = ("collect-icm-seed0", "release-icm-seed0", "policy-a-seed0", "policy-b-seed0", "policy-c-seed0", "score-a")
     for name in names:
-        folder = write(f"jobs/{name}.toml", "").parents[1]
-    write("collect/logs/icm-seed0/manifest.json", "{}")
+        write(f"jobs/{name}.toml", "")
+    folder = write("collect/logs/icm-seed0/manifest.json", "{}").parents[3]
     write("jobs/policy-a-seed0.progress", '{"done": 4096, "total": 300000, "rate": 147.25}')
     output = write("jobs/policy-b-seed0.log", "$ gym-open train\nTraceback\nerror: <the> disk | is full\n")
     write("jobs/policy-c-seed0.log", "$ gym-open train\n")

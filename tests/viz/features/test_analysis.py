@@ -47,7 +47,7 @@ def test_neighbours_are_those_of_a_tree_search() -> None:
     features = np.random.default_rng(1).normal(size=(60, 5))
     found = analyse(features, neighbours=3)
     distances, near = KDTree(features).query(features, k=4)
-    assert np.array_equal(found.near, near[:, 1:])
+    assert np.array_equal(found.near, np.asarray(near)[:, 1:])
     every = np.linalg.norm(features[:, None] - features, axis=2)
     mean = every[~np.eye(60, dtype=bool)].mean()
     assert found.distances == pytest.approx(distances[:, 1:] / mean)

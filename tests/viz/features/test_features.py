@@ -93,7 +93,8 @@ def drawn(release: Path, tmp_path_factory: pytest.TempPathFactory) -> Drawn:
 def neighbours(drawn: Drawn) -> np.ndarray:
     """(14, 4): by the encoder itself, and a search of its own."""
     images = torch.from_numpy(drawn.release.images(np.arange(len(drawn.release))))
-    apart = torch.cdist(*(drawn.encoder.encode(images).double(),) * 2).numpy()
+    found = drawn.encoder.encode(images).double()
+    apart = torch.cdist(found, found).numpy()
     np.fill_diagonal(apart, np.inf)
     return np.argsort(apart, axis=1)[:, :4]
 
@@ -130,7 +131,8 @@ def test_the_second_component_goes_up(drawn: Drawn) -> None:
 
 def test_colours_tell_worlds_apart_and_points_say_which_frame_they_are(drawn: Drawn) -> None:
     colours = np.array(drawn.static("/trained/plane/world", "Points2D:colors"))
-    own = np.repeat(drawn.release.episodes["world"], drawn.release.episodes["length"]).to_numpy()
+    episodes = drawn.release.episodes
+    own = np.repeat(episodes["world"].to_numpy(), episodes["length"].to_numpy())
     assert len({(world, colour) for world, colour in zip(own, colours, strict=True)}) == len(set(own)) == 2
     labels = drawn.static("/trained/plane/world", "Points2D:labels")
     assert labels[0] == "frame 0: stream 0, step 0, episode 0"
