@@ -43,15 +43,22 @@ def lineage(title: str, record: Lineage | None, facts: Mapping[str, object]) -> 
         rows = [[cell(name), cell(value)] for name, value in facts.items()]
         return _document([f"# {cell(title)}", *table(["", ""], rows)])
     rows = [
-        [f"{'·' * depth} {cell(one.kind)}", cell(digest[:_SHORT]), cell(one.code), cell(", ".join(_short_facts(one)))]
+        [f"{'·' * depth} {cell(one.kind)}", cell(digest[:_SHORT]), cell(one.code)]
         for depth, digest, one in _ancestors(record)
+    ]
+    told = [
+        [cell(name.replace("_", " ")), cell(_short(value)), cell(one.kind)]
+        for _, _, one in _ancestors(record)
+        for name, value in one.facts.items()
     ]
     packages = [[cell(name), cell(version)] for name, version in record.packages.items()]
     lines = [
         f"# {cell(title)}",
         "Made of what stands below it; a digest names its bytes.",
         "",
-        *table(["artefact", "digest", "code", "facts"], rows),
+        *table(["artefact", "digest", "code"], rows),
+        "## Facts",
+        *table(["fact", "", "of the"], told),
         "## Packages",
         *table(["package", "version"], packages),
         "## As it is written, without the ancestors",
@@ -87,11 +94,8 @@ def _ancestors(record: Lineage, depth: int = 0, digest: str = "this one") -> Ite
         yield from _ancestors(parent.lineage, depth + 1, parent.digest)
 
 
-def _short_facts(record: Lineage) -> Iterator[str]:
-    """Facts that are a word or a number; of lists, how many there are."""
-    for name, value in record.facts.items():
-        if isinstance(value, list | dict):
-            yield f"{len(value)} {name.replace('_', ' ')}"
-        else:
-            shown = value[:_SHORT] if isinstance(value, str) and re.fullmatch("[0-9a-f]{64}", value) else value
-            yield f"{name.replace('_', ' ')} {shown}"
+def _short(value: object) -> object:
+    """The beginning of a digest; of many things, how many there are; all else as it is."""
+    if isinstance(value, list | dict):
+        return f"{len(value)} of them" if value else "none"
+    return value[:_SHORT] if isinstance(value, str) and re.fullmatch("[0-9a-f]{64}", value) else value

@@ -69,8 +69,11 @@ def _curves(stream: Stream) -> list[rrb.TimeSeriesView]:
     if reward:
         views.append(_plot("intrinsic reward, and what it is made of", *reward))
     if LOSS in known:
-        views.append(_plot("world-model loss, and the threshold", known[LOSS], f"{name}/threshold"))
-    worlds = [stay.world for stay in stream.shown_stays()]
+        title = "world-model loss" if stream.threshold is None else "world-model loss, and the threshold"
+        views.append(_plot(title, known[LOSS], f"{name}/threshold"))
+    worlds = [stay.world for stay in stream.shown_stays()] + [
+        switch.to_world for switch in stream.shown_switches() if switch.to_world >= 0
+    ]
     views.append(
         _plot(
             "curriculum: world of the pool, switches",

@@ -15,6 +15,7 @@ from gym_open.viz.play.streams import (
     ACTION,
     CONTACTS,
     ENTROPY,
+    GLANCE,
     LOSS,
     PART,
     PIECE,
@@ -23,12 +24,10 @@ from gym_open.viz.play.streams import (
     Span,
     Stay,
     Stream,
+    known_of,
     overlap,
     stays_of,
 )
-
-_GLANCE = 64
-"""Steps that are read to see what is recorded at all."""
 
 
 def open_streams(source: Path, only: int | None = None) -> list[Stream]:
@@ -49,7 +48,7 @@ def open_streams(source: Path, only: int | None = None) -> list[Stream]:
 
 
 def _stream(log: Log) -> Stream:
-    first = next(log.segments(_GLANCE), None)
+    first = next(log.segments(GLANCE), None)
     if first is None or not len(first.actions):
         raise LogError(f"{log.path}: no step of it is whole; there is nothing to see ({log.damage or 'no play in it'})")
     steps = range(first.first_step, first.first_step + log.n_steps)
@@ -63,7 +62,7 @@ def _stream(log: Log) -> Stream:
         reward_parts=log.reward_parts,
         switches=log.switches,
         stays=stays_of(begun, log.switches, steps.stop),
-        known=frozenset(name for name, values in series.items() if not np.isnan(values).all()),
+        known=known_of(series),
         spans=lambda wanted: _spans(log, wanted, steps),
         depth=first.depth is not None,
         segmentation=first.segmentation is not None,

@@ -19,6 +19,7 @@ from gym_open.viz.play.streams import (
     ACTION,
     CONTACTS,
     ENTROPY,
+    GLANCE,
     LOSS,
     PART,
     PIECE,
@@ -27,6 +28,7 @@ from gym_open.viz.play.streams import (
     Span,
     Stay,
     Stream,
+    known_of,
     overlap,
 )
 
@@ -142,7 +144,7 @@ def _stream(
     worlds = release.arrow_table("worlds").to_pylist()
     puzzles = {item["puzzle"]: Puzzle.from_json(item["json"]) for item in worlds if item["stream"] == row["stream"]}
     begin = episodes[0].first_frame
-    beginning = _series(release.numbers(begin, begin + 1), parts)
+    beginning = _series(release.numbers(begin, begin + min(GLANCE, len(episodes[0].steps))), parts)
     return Stream(
         number=row["stream"],
         steps=range(episodes[0].steps.start, episodes[-1].steps.stop),
@@ -151,7 +153,7 @@ def _stream(
         reward_parts=parts,
         switches=switches,
         stays=stays,
-        known=frozenset(name for name, values in beginning.items() if not np.isnan(values).all()),
+        known=known_of(beginning),
         spans=lambda wanted: _spans(release, episodes, puzzles, parts, wanted),
     )
 

@@ -29,7 +29,8 @@ def log_list(rec: rr.RecordingStream, stream: Stream) -> None:
 def list_of(stream: Stream) -> str:
     """The document, in Markdown."""
     stays = stream.shown_stays()
-    head = ["segment", "world", "first step", "steps", "ended", "loss at entry", "loss at exit"]
+    losses = bool(stream.with_losses())
+    head = ["segment", "world", "first step", "steps", "ended", *(["loss at entry", "loss at exit"] if losses else [])]
     rows = [
         [
             f"[{stay.number}](recording://{segment_entity(stream.name, stay.number)})",
@@ -37,13 +38,12 @@ def list_of(stream: Stream) -> str:
             f"{stay.steps.start:,}",
             f"{len(stay.steps):,}",
             cell(stay.ended or "goes on"),
-            loss_text(stay.loss_at_entry),
-            loss_text(stay.loss_at_exit),
+            *([loss_text(stay.loss_at_entry), loss_text(stay.loss_at_exit)] if losses else []),
         ]
         for stay in stays[:MOST_LISTED]
     ]
     lines = [
-        f"# {len(stays)} segments of stream {stream.number}",
+        f"# Segments of stream {stream.number}: {len(stays)}",
         _HOW.format(stream=stream.number),
         "",
         *table(head, rows),

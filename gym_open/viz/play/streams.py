@@ -22,6 +22,8 @@ PART = "reward_part/"
 """What a part of the intrinsic reward is called there, with its name after it."""
 PIECE = 1000
 """Steps that are in memory at a time."""
+GLANCE = 64
+"""Steps that are read to see what is recorded at all."""
 
 
 class Stay(NamedTuple):
@@ -87,7 +89,7 @@ class Stream(msgspec.Struct, frozen=True, eq=False):
     stays: Sequence[Stay]
     """All of the stream."""
     known: frozenset[str]
-    """Series that hold anything but NaN where the stream begins."""
+    """Series that hold anything, as `known_of` tells of where the stream begins."""
     spans: Callable[[range], Iterator[Span]]
     """Those that hold these steps, cut to them."""
     depth: bool = False
@@ -124,6 +126,13 @@ class Stream(msgspec.Struct, frozen=True, eq=False):
         """Of all switches up to the end of what is shown, those that tell a loss of any world that was visited."""
         before = (item for item in self.switches if item.step <= self.steps.stop)
         return [item for item in before if any(map(math.isfinite, item.world_losses))]
+
+
+def known_of(series: Mapping[str, np.ndarray]) -> frozenset[str]:
+    """Names of the series that hold anything but NaN; the reward, if it is not 0 for want of any part."""
+    known = {name for name, values in series.items() if not np.isnan(values).all()}
+    has_parts = any(name.startswith(PART) for name in series)
+    return frozenset(known if has_parts or series[REWARD].any() else known - {REWARD})
 
 
 def overlap(a: range, b: range) -> range:

@@ -77,7 +77,7 @@ def test_picked_play_is_shown_in_its_place(log: Path, tmp_path: Path, read_back:
     assert recording.column("/stream_0/world_losses", "BarChart:values")[0] == [7, 17]
     assert recording.scalars("/stream_0/world") == {7: 1.0, 16: 1.0, 17: 2.0, 18: 2.0}
     text = recording.static("/stream_0/segments", "TextDocument:text")[0]
-    assert "2 segments" in text
+    assert "Segments of stream 0: 2" in text
 
 
 @pytest.mark.parametrize(
