@@ -24,7 +24,7 @@ from gym_open.formats.models import load_policy
 from gym_open.formats.scores import EPISODES
 from gym_open.viz.choice import Choice
 from gym_open.viz.config import VizConfig
-from gym_open.viz.puzzles import view
+from gym_open.viz.puzzles import episodes, view
 from gym_open.viz.puzzles.episodes import Episode, play_all
 
 SOLVED, GIVEN_UP, FAILED = (f"avoidance/{i:03d}" for i in range(3))
@@ -63,8 +63,9 @@ def test_how_it_ended_is_said(scores: Any) -> None:
     assert failed.outcome == f"in the danger patch at action {len(scores.actions[2])}"
 
 
-def test_a_policy_plays_as_it_is_evaluated(policy: Path) -> None:
-    config = EvaluateConfig(task="avoidance")
+def test_a_policy_plays_as_it_is_evaluated(policy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(episodes, "THREADS", 1)
+    config = EvaluateConfig(task="avoidance", threads=1)
     actor, states = load_actor(policy, config)
     evaluated = play(actor, "avoidance", puzzles_of("avoidance", "test")[:1], config, states=states)
     own = play_all(SOLVED, [policy]).episodes[0]
