@@ -7,6 +7,7 @@ Rerun's views are photographed in headless Chromium. Without one, films and stil
 """
 
 import argparse
+import itertools
 import re
 import subprocess
 import sys
@@ -83,7 +84,7 @@ class Shot(NamedTuple):
 
 SHOTS = (
     Shot("log", [LOG, "--stream", "0", "--steps", "300:700"]),
-    Shot("damaged", [DAMAGED]),
+    Shot("damaged", [DAMAGED, "--steps", "500:800"]),
     Shot("episode", [RELEASE, "--episode", "3"]),
     Shot("puzzle", [*SCORES, *PUZZLE]),
     Shot("policy", [POLICIES[0], *PUZZLE]),
@@ -96,7 +97,7 @@ SHOTS = (
 FILES = {
     "still-log.png": [LOG, "--png"],
     "still-puzzle.png": [*SCORES, *PUZZLE, "--png"],
-    "film-puzzle.gif": [*SCORES, *PUZZLE, "--video"],
+    "film-puzzle.gif": [*SCORES, *PUZZLE, "--film-look", "observation", "--video"],
 }
 
 
@@ -154,9 +155,9 @@ def photograph(program: str, shot: Shot, folder: Path) -> bytes:
     with subprocess.Popen(words, cwd=folder, stdout=subprocess.PIPE, text=True) as viewer:  # noqa: S603
         try:
             assert viewer.stdout is not None
-            said = next((line for line in viewer.stdout if "http://" in line), "")
+            said = "".join(itertools.takewhile(lambda line: "all of it is there" not in line, viewer.stdout))
             address = re.search(r"http://127\.0\.0\.1:\d+", said)
-            if address is None:
+            if address is None or viewer.poll() is not None:
                 raise SystemExit(f"{shot.name}: gym-open viz has not served it")
             with Browser(program, WIDTH, HEIGHT) as browser:
                 browser.open(address[0])
@@ -170,17 +171,18 @@ def photograph(program: str, shot: Shot, folder: Path) -> bytes:
 
 
 def keep(path: Path, picture: bytes) -> None:
-    """Write the picture with as many colours as a small file has room for."""
-    image = Image.open(BytesIO(picture)).convert("RGB")
-    for colours in (256, 128, 64, 32):
+    """Write the picture as large, and with as many colours, as a small file has room for."""
+    image, small = Image.open(BytesIO(picture)).convert("RGB"), BytesIO()
+    for width, colours in ((WIDTH, 256), (WIDTH, 64), (960, 256), (960, 64), (640, 64)):
+        fitting = image.resize((width, round(image.height * width / image.width)), Image.Resampling.LANCZOS)
+        few = fitting.quantize(colours, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
         small = BytesIO()
-        few = image.quantize(colours, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
         few.save(small, "PNG", optimize=True)
         if len(small.getvalue()) < MOST_BYTES:
             break
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(small.getvalue())
-    print(f"{path}: {len(small.getvalue()) / 1000:.0f} kB, {colours} colours")
+    print(f"{path}: {len(small.getvalue()) / 1000:.0f} kB")
 
 
 if __name__ == "__main__":

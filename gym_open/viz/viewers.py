@@ -94,7 +94,7 @@ def web(view: View) -> None:
         forward = " ".join(f"-L {port}:{LOOPBACK}:{port}" for port in (page.port, program.port))
         print(f"gym-open viz: {printable(view.title)} is at http://{here}")
         print(f"  from another host: first ssh {forward} THIS-HOST, there\n  stop: Ctrl-C", flush=True)
-        program.show(view)
+        program.show(view, then="  all of it is there")
 
 
 class _LostError(Exception):
@@ -161,12 +161,14 @@ class _Program:
     ) -> None:
         self._end()
 
-    def show(self, view: View) -> None:
-        """Send the view to the program, and stay until the program ends or Ctrl-C is pressed."""
+    def show(self, view: View, then: str | None = None) -> None:
+        """Send the view to the program, print `then`, and stay until the program ends or Ctrl-C is pressed."""
         url = f"rerun+http://{LOOPBACK}:{self.port}/proxy"
         try:
             with self._watched():
                 _stream(view, lambda rec: rec.connect_grpc(url))
+            if then:
+                print(then, flush=True)
             self._process.wait()
         except KeyboardInterrupt:
             pass  # the usual end, also of a window that is closed while it fills
