@@ -165,7 +165,7 @@ def _parse_head(contents: Contents) -> tuple[LogHead, int]:
         raise ValueError(f"step_ns: expected {schemas.STEP_NS}, got {step_ns}")
     pool = msgspec.json.decode(contents.attachments[schemas.POOL], type=list[msgspec.Raw])
     config = msgspec.json.decode(contents.attachments[schemas.CONFIG], type=dict[str, Any])
-    _check_nesting(config)
+    check_nesting(config)
     return LogHead(
         stream=_number(head, "stream"),
         config=config,
@@ -177,8 +177,12 @@ def _parse_head(contents: Contents) -> tuple[LogHead, int]:
     ), _number(head, "part")
 
 
-def _check_nesting(value: Any) -> None:
-    """Raises RecursionError as the decoder does, before something else would."""
+def check_nesting(value: Any) -> None:
+    """Look at how deep plain data goes.
+
+    Raises:
+        RecursionError: as the decoder does, before something else would.
+    """
     level = [value]
     for _ in range(MAX_NESTING):
         level = [item for one in level if isinstance(one, dict | list) for item in _items(one)]

@@ -7,9 +7,11 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
+from gym_open.envs.constants import N_ACTIONS
 from gym_open.envs.puzzles import Puzzle
-from gym_open.errors import UsageError
+from gym_open.errors import ArtefactError, UsageError
 from gym_open.formats.logs import Stuck, Switch
+from gym_open.formats.logs.logfile import check_nesting
 from gym_open.formats.pictures import encode_pngs
 from gym_open.formats.releases import IMAGE, Release
 from gym_open.formats.releases.layout import PART as PART_COLUMN
@@ -62,8 +64,18 @@ def open_streams(release: Release) -> list[Stream]:
     """The streams of a release; of their frames, only the first ones are read.
 
     Raises:
-        ArtefactError: if it is damaged.
+        ArtefactError: if it is damaged, or its tables do not go together.
     """
+    try:
+        return _streams(release)
+    except (KeyError, ValueError, RecursionError) as error:
+        what = f"{type(error).__name__}: {error}"
+        raise ArtefactError(
+            f"{release.root}: its tables do not go together ({what}); see why with `gym-open dataset verify`"
+        ) from None
+
+
+def _streams(release: Release) -> list[Stream]:
     rows = release.arrow_table("streams").to_pylist()
     switches, segments = (release.arrow_table(name).to_pylist() for name in ("switches", "segments"))
     found: list[Stream] = []
@@ -102,7 +114,8 @@ def narrowed(release: Release, choice: Choice) -> Choice:
 
 def _switch(row: Mapping[str, Any]) -> Switch:
     losses = [float(loss) for loss in row["world_losses"]]
-    return Switch(row["step"], row["from_world"], row["to_world"], row["reason"], losses)
+    names = ("step", "from_world", "to_world", "reason")
+    return msgspec.convert({**{name: row[name] for name in names}, "world_losses": losses}, Switch)
 
 
 def _stays(rows: list[dict[str, Any]], switches: list[Switch]) -> list[Stay]:
@@ -143,12 +156,14 @@ def _stream(
     parts = tuple(name.removeprefix(PART_COLUMN) for name in release.info["features"] if name.startswith(PART_COLUMN))
     worlds = release.arrow_table("worlds").to_pylist()
     puzzles = {item["puzzle"]: Puzzle.from_json(item["json"]) for item in worlds if item["stream"] == row["stream"]}
+    if strange := {episode.puzzle for episode in episodes} - puzzles.keys():
+        raise KeyError(min(strange))
     begin = episodes[0].first_frame
     beginning = _series(release.numbers(begin, begin + min(GLANCE, len(episodes[0].steps))), parts)
     return Stream(
         number=row["stream"],
         steps=range(episodes[0].steps.start, episodes[-1].steps.stop),
-        config=msgspec.json.decode(row["config"]),
+        config=_config(row["config"]),
         worlds=sum(item["stream"] == row["stream"] for item in worlds),
         reward_parts=parts,
         switches=switches,
@@ -156,6 +171,12 @@ def _stream(
         known=known_of(beginning),
         spans=lambda wanted: _spans(release, episodes, puzzles, parts, wanted),
     )
+
+
+def _config(text: str) -> dict[str, Any]:
+    config = msgspec.json.decode(text, type=dict[str, Any])
+    check_nesting(config)
+    return config
 
 
 def _spans(
@@ -176,7 +197,10 @@ def _spans(
             states = values["observation.environment_state"].reshape(len(steps) + 1, len(names), -1)
             if watch is None or watch.segment != episode.segment:
                 watch = Watch(episode.segment, position(states[0]))
-            stuck = _watched(watch, states, values[_COLUMNS[ACTION]][:-1], steps)
+            actions = values[_COLUMNS[ACTION]][:-1]
+            if not ((actions >= 0) & (actions < N_ACTIONS)).all():
+                raise ArtefactError(f"{release.root}: an action that there is not; do not use this release")
+            stuck = _watched(watch, states, actions, steps)
             if episode.ends and steps.stop == episode.steps.stop:
                 stuck += watch.leave(states[-1], steps.stop)
             cut = overlap(steps, wanted)
