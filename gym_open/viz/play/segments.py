@@ -10,7 +10,7 @@ from gym_open.viz.play.streams import CONTACTS, REWARD, Span, Stay, Stream
 from gym_open.viz.words import cell, table
 
 _HOW = """\
-A segment is play in one world without interruption. A click on its number selects it: the selection panel, at the
+A segment is play in one world without interruption. A click on its name selects it: the selection panel, at the
 right edge, tells what came of it. One alone is opened with `--stream {stream} --segment NUMBER`."""
 MOST_LISTED = 300
 """Segments of a document: Rerun draws all of it in every frame."""
@@ -30,10 +30,10 @@ def list_of(stream: Stream) -> str:
     """The document, in Markdown."""
     stays = stream.shown_stays()
     losses = bool(stream.with_losses())
-    head = ["segment", "world", "first step", "steps", "ended", *(["loss at entry", "loss at exit"] if losses else [])]
+    head = ["", "world", "first step", "steps", "ended", *(["loss at entry", "loss at exit"] if losses else [])]
     rows = [
         [
-            f"[{stay.number}](recording://{segment_entity(stream.name, stay.number)})",
+            f"[segment {stay.number}](recording://{segment_entity(stream.name, stay.number)})",
             str(stay.world),
             f"{stay.steps.start:,}",
             f"{len(stay.steps):,}",

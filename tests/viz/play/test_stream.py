@@ -185,7 +185,7 @@ def test_segments_tell_what_came_of_them(recording: Any, segments: list[Segment]
     listed = recording.static("/stream_0/segments", "TextDocument:text")[0]
     for segment in segments:
         entity = f"/stream_0/segments/segment_{segment.index:04d}"
-        assert f"[{segment.index}](recording:/{entity})" in listed
+        assert f"[segment {segment.index}](recording:/{entity})" in listed
         facts = {
             name: recording.static(entity, f"Segment:{name}")[0]
             for name in ("world", "first_step", "steps", "ended", "contacts", "mean_intrinsic_reward", "loss_at_exit")
