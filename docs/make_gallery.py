@@ -175,7 +175,7 @@ def keep(path: Path, picture: bytes) -> None:
     image, small = Image.open(BytesIO(picture)).convert("RGB"), BytesIO()
     for width, colours in ((WIDTH, 256), (WIDTH, 64), (960, 256), (960, 64), (640, 64)):
         fitting = image.resize((width, round(image.height * width / image.width)), Image.Resampling.LANCZOS)
-        few = fitting.quantize(colours, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+        few = fitting.quantize(colours, Image.Quantize.MAXCOVERAGE, kmeans=2, dither=Image.Dither.NONE)
         small = BytesIO()
         few.save(small, "PNG", optimize=True)
         if len(small.getvalue()) < MOST_BYTES:
