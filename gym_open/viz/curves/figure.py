@@ -22,7 +22,7 @@ def draw_curve(curve: Curve) -> bytes:
     """PNG: each column over the first in a panel of its own, the same on held-out data dashed in the same panel."""
     first, *names = curve.columns
     own = [name for name in names if not name.startswith(_HELD_OUT)]
-    across = min(3, max(len(own), 1))
+    across = min(3, math.ceil(math.sqrt(max(len(own), 1))))
     down = math.ceil(len(own) / across) or 1
 
     def paint(figure: "Figure") -> None:
