@@ -40,7 +40,7 @@ _LEGEND = (
     "puzzle's number go down, its units to the right; hover over a dot to read it. Move the time cursor to i, and all "
     "shows what was earned within i actions."
 )
-_WIDTH, _HEIGHT = _ROW + 1.5, _ROW + 4.0
+_WIDTH, _HEIGHT = _ROW + 1.5, _ROW + 4.5
 """From one agent's puzzles to the next one's."""
 
 
@@ -67,6 +67,7 @@ def overview(sources: Sequence[Path]) -> View:
         rrb.Blueprint(
             tabs[0] if len(tabs) == 1 else rrb.Tabs(*tabs),
             rrb.TimePanel(state="collapsed", timeline=TIMELINE, sequence_cursor=budget, fps=10.0),
+            rrb.BlueprintPanel(state="collapsed"),
             rrb.SelectionPanel(state="collapsed"),
             auto_views=False,
         ),
@@ -93,7 +94,7 @@ def _log_dots(rec: rr.RecordingStream, group: Table, n: int, at: list[rr.TimeCol
     corner = np.array([_WIDTH * (n % _across(group)), _HEIGHT * (n // _across(group))])
     words = f"{agent.name}\n{int(agent.solved.sum())} of {len(agent.puzzles)} solved"
     head = rr.Points2D(
-        corner + np.array([_ROW / 2 - 0.5, -1.2]), radii=0.001, colors=colour(n), labels=words, show_labels=True
+        corner + np.array([_ROW / 2 - 0.5, -4.4]), radii=0.001, colors=colour(n), labels=words, show_labels=True
     )
     rec.log(f"{entity}/name", head, static=True)
     dots = rr.Points2D(
@@ -158,7 +159,7 @@ def _layout(group: Table) -> rrb.Horizontal:
     root = f"/{group.name}"
     across = _across(group)
     down = math.ceil(len(group.agents) / across)
-    bounds = rrb.VisualBounds2D(x_range=(-1, across * _WIDTH - 1), y_range=(-3.5, down * _HEIGHT - 3.5))
+    bounds = rrb.VisualBounds2D(x_range=(-1, across * _WIDTH - 1), y_range=(-3.8, down * _HEIGHT - 3.8))
     legend = rrb.PlotLegend(rrb.Corner2D.RightBottom)
     return rrb.Horizontal(
         rrb.Vertical(
