@@ -10,8 +10,9 @@ from gym_open.viz.play.streams import CONTACTS, REWARD, Span, Stay, Stream
 from gym_open.viz.words import cell, table
 
 _HOW = """\
-A segment is play in one world without interruption. A click on its name selects it: the selection panel, at the
-right edge, tells what came of it. One alone is opened with `--stream {stream} --segment NUMBER`."""
+A segment is play in one world without interruption. What came of it stands in the entity of its name, which the link
+is to: select it there, or under `stream_{stream}/segments` in the list of streams (the panel at the bottom), and look
+at the selection panel (at the right edge). One segment alone is opened with `--stream {stream} --segment NUMBER`."""
 MOST_LISTED = 300
 """Segments of a document: Rerun draws all of it in every frame."""
 
