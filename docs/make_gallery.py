@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from browser import Browser, find
-from PIL import Image, ImageSequence
+from PIL import Image
 
 from gym_open import workspace
 
@@ -114,8 +114,8 @@ def main() -> int:
         for name, words in FILES.items():
             if chosen(name):
                 gym_open("viz", *words, str(PICTURES / name), folder=run)
-                shrink = keep if name.endswith(".png") else keep_film
-                shrink(PICTURES / name, (PICTURES / name).read_bytes())
+                if name.endswith(".png"):
+                    keep(PICTURES / name, (PICTURES / name).read_bytes())
         program = find()
         if program is None:
             print("no Chromium here: the pictures of Rerun's views stay as they are")
@@ -183,19 +183,6 @@ def keep(path: Path, picture: bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(small.getvalue())
     print(f"{path}: {len(small.getvalue()) / 1000:.0f} kB")
-
-
-def keep_film(path: Path, film: bytes) -> None:
-    """Write every second picture of a film, half as wide."""
-    with Image.open(BytesIO(film)) as whole:
-        pictures = [
-            picture.convert("RGB").resize((whole.width // 2, whole.height // 2), Image.Resampling.LANCZOS)
-            for picture in itertools.islice(ImageSequence.Iterator(whole), 0, None, 2)
-        ]
-        duration = 2 * whole.info["duration"]
-    first, *others = [picture.quantize(32, dither=Image.Dither.NONE) for picture in pictures]
-    first.save(path, "GIF", save_all=True, append_images=others, duration=duration, loop=0, optimize=True)
-    print(f"{path}: {path.stat().st_size / 1000:.0f} kB")
 
 
 if __name__ == "__main__":
