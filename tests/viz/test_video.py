@@ -27,8 +27,10 @@ def log(make_log: MakeLog) -> Path:
 
 
 def frames_of(path: Path) -> np.ndarray:
+    frames: list[np.ndarray] = []
     with av.open(str(path)) as container:
-        return np.array([frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)])
+        frames += [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    return np.array(frames)
 
 
 def test_a_film_of_play_shows_each_step_and_the_last_observation(log: Path, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from gym_open.agents.policy import ActorCritic
 from gym_open.config import Config
 from gym_open.envs.constants import MOVES, cell_centre
 from gym_open.envs.env import OpenEnv
-from gym_open.envs.puzzles import Puzzle, Task
+from gym_open.envs.puzzles import Puzzle
 from gym_open.envs.puzzles.sets import puzzle_id, puzzles_of
 from gym_open.envs.puzzles.witnesses import witnesses_of
 from gym_open.evaluate.proof import oracle_proof
@@ -23,7 +23,7 @@ from gym_open.evaluate.scores import Episodes, summarise, write_episodes, write_
 from gym_open.formats.models import save_policy
 from gym_open.formats.scores import Scores
 
-TASK: Task = "avoidance"
+TASK = "avoidance"
 BUDGET = 100
 SOLVED, GIVEN_UP, FAILED = (puzzle_id(TASK, "test", i) for i in range(3))
 
