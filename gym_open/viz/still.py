@@ -60,7 +60,7 @@ def _page(config: VizConfig, sources: Sequence[Path], choice: Choice) -> Page:
         return Page(*overview(read_tables(sources)))
     if len(sources) == 1 and kinds <= {LOG, "release"}:
         from gym_open.viz.play.page import open_streams
-        from gym_open.viz.play_still import play_page
+        from gym_open.viz.play.still import play_page
 
         title, streams = open_streams(sources[0], choice)
         return Page(*play_page(printable(title), streams))

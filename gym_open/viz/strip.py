@@ -59,7 +59,7 @@ def draw_plot(axes: "Axes", plot: Plot, *, steps: bool = False) -> None:
     if not there:
         axes.text(0.5, 0.5, "no data", transform=axes.transAxes, ha="center", va="center", color="#777777")
     if plot.counted:
-        axes.yaxis.get_major_locator().set_params(integer=True)
+        axes.locator_params(axis="y", integer=True)
         axes.margins(y=0.2)
         axes.set_ylim(min(axes.get_ylim()[0], -0.5), max(axes.get_ylim()[1], 1.5))
     axes.set_title(plot.title, fontsize=9, loc="left")

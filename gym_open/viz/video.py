@@ -5,11 +5,11 @@ from pathlib import Path
 
 from gym_open.errors import UsageError
 from gym_open.terminal import printable
-from gym_open.viz import play_film
 from gym_open.viz.choice import Choice
 from gym_open.viz.config import VizConfig
 from gym_open.viz.film import FILMS, check_suffix, write_film
-from gym_open.viz.glance import glance
+from gym_open.viz.play.film import FPS, film
+from gym_open.viz.play.glance import glance
 from gym_open.viz.play.page import open_streams
 from gym_open.viz.recording import LOG, kind_of
 from gym_open.viz.render import shown_look
@@ -32,10 +32,10 @@ def write_video(config: VizConfig, sources: Sequence[Path], choice: Choice, out:
     look = shown_look(config.film_look)
     if choice.puzzle is not None:
         from gym_open.viz.puzzles.episodes import play_all
-        from gym_open.viz.puzzles.film import film
+        from gym_open.viz.puzzles.film import film as film_of_puzzle
 
         choice.refuse_others("a puzzle", {"puzzle"})
-        return write_film(out, *film(play_all(choice.puzzle, sources), look))
+        return write_film(out, *film_of_puzzle(play_all(choice.puzzle, sources), look))
     kinds = {kind_of(source) for source in sources}
     if len(sources) != 1 or not kinds <= {LOG, "release"}:
         raise UsageError(
@@ -44,4 +44,4 @@ def write_video(config: VizConfig, sources: Sequence[Path], choice: Choice, out:
         )
     title, streams = open_streams(sources[0], choice)
     play = glance(streams[0], config.film_pictures)
-    return write_film(out, play_film.film(printable(title), play, look), play_film.FPS)
+    return write_film(out, film(printable(title), play, look), FPS)

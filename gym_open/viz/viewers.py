@@ -25,8 +25,8 @@ from gym_open.errors import GymOpenError, UsageError
 from gym_open.files import unwritable
 from gym_open.processes import end_with_parent, interruptible
 from gym_open.terminal import printable
-from gym_open.viz.page import LOOPBACK, Page
 from gym_open.viz.view import View
+from gym_open.viz.web_page import LOOPBACK, Page
 
 APPLICATION = "gym-open"
 WEB_PORT, DATA_PORT = 9090, 9876

@@ -1,5 +1,6 @@
 """What a person may pick, and what is refused."""
 
+import msgspec
 import pytest
 
 from gym_open.errors import UsageError
@@ -28,7 +29,7 @@ def test_a_range_without_steps_is_refused(steps: range) -> None:
 @pytest.mark.parametrize("name", ["episode", "segment", "stream"])
 def test_a_negative_number_is_refused_by_name(name: str) -> None:
     with pytest.raises(UsageError, match=f"--{name}: expected 0 or more, got -1"):
-        Choice(**{name: -1})
+        msgspec.convert({name: -1}, Choice)
 
 
 def test_what_cannot_be_picked_is_refused_by_name() -> None:

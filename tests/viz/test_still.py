@@ -13,7 +13,7 @@ from gym_open.formats.logs import log_files, open_log
 from gym_open.viz.choice import Choice
 from gym_open.viz.config import VizConfig
 from gym_open.viz.play.page import open_streams
-from gym_open.viz.play_still import play_page
+from gym_open.viz.play.still import play_page
 from gym_open.viz.still import write_still
 
 MakeLog = Callable[..., Path]

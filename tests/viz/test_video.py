@@ -12,7 +12,7 @@ from gym_open.formats.logs import log_files, open_log
 from gym_open.viz.choice import Choice
 from gym_open.viz.config import VizConfig
 from gym_open.viz.film import coverage_picture
-from gym_open.viz.glance import glance
+from gym_open.viz.play.glance import glance
 from gym_open.viz.play.page import open_streams
 from gym_open.viz.strip import Curve, Plot, Strip
 from gym_open.viz.video import write_video

@@ -36,7 +36,7 @@ def view(config: VizConfig, sources: Sequence[Path], choice: Choice) -> View:  #
     from gym_open.viz.curves import drawing, figure, jobs, layout, words
     from gym_open.viz.curves.rows import rows_of, rows_of_report
     from gym_open.viz.curves.sources import find
-    from gym_open.viz.pages import log_document, log_figure
+    from gym_open.viz.static import log_document, log_figure
 
     choice.refuse_others("curves", ())
     found = find(sources)

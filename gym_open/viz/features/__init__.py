@@ -50,8 +50,8 @@ def view(config: VizConfig, source: Path, choice: Choice) -> View:  # noqa: ARG0
         from gym_open.viz.features.analysis import analyse
         from gym_open.viz.features.frames import of_random_play, of_release
         from gym_open.viz.features.words import document, draw_variance
-        from gym_open.viz.pages import log_document, log_figure
         from gym_open.viz.play.documents import lineage, settings
+        from gym_open.viz.static import log_document, log_figure
 
         frames = of_random_play() if release is None else of_release(release)
         both = {TRAINED: encoder, UNTRAINED: _untrained(encoder)}

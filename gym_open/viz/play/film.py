@@ -11,7 +11,7 @@ from gym_open.envs.constants import CONTROL_DT_S
 from gym_open.envs.puzzles import Puzzle
 from gym_open.envs.world import World
 from gym_open.viz.film import FAINT, INK, PAPER, coverage_picture, enlarged, even, typeface
-from gym_open.viz.glance import Glance, Moment
+from gym_open.viz.play.glance import Glance, Moment
 from gym_open.viz.render import DIRECTIONS, Look, painter, pose
 from gym_open.viz.strip import Strip
 

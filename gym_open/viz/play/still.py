@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gym_open.envs.constants import CELL_0, COLUMNS, CONTROL_DT_S, PITCH, ROWS
-from gym_open.viz.glance import Glance, glance
+from gym_open.viz.play.glance import Glance, glance
 from gym_open.viz.play.streams import Stream
 from gym_open.viz.strip import draw_plot
 
