@@ -1,6 +1,6 @@
 """A stream of play as Rerun entities, written by columns.
 
-Timelines `step` (steps the stream has taken) and `sim_time` (the same in simulated seconds). What is known of a step,
+Timelines `step` (steps the stream has taken) and `sim_time` (the same in nominal seconds). What is known of a step,
 its action, reward and contacts, stands at the number of the step, with the observation before the action. At the step
 of a switch the new world's first observation is shown; the old world's last one would be at the same step and is left
 out, but for the stream's very last.
