@@ -17,11 +17,11 @@ class VizConfig(Config, frozen=True):
     max_images: PositiveInt = 2_000
     """Limit of pictures a stream, and of maps of coverage (about 1 to 3 kB each; with depth and segmentation 40 kB)."""
     max_poses: PositiveInt = 20_000
-    """Limit of steps a stream at which objects, contacts and the action's arrow are shown (about 0.5 kB each)."""
+    """Limit of steps a stream at which objects, contacts, trail and action are shown (about 0.8 kB each)."""
     max_points: PositiveInt = 50_000
     """Limit of points a stream of each series: reward, loss and all else that is drawn as a curve."""
     trail_steps: PositiveInt = 200
-    """Steps of the agent's trail on the table."""
+    """Steps of the agent's trail on the table, in the world that it is in; steps of the stream, shown or not."""
     film_pictures: PositiveInt = 400
     """Limit of pictures of a film of play, at 20 a second."""
     film_look: Literal["handsome", "observation"] = "handsome"

@@ -46,13 +46,29 @@ def test_play_is_drawn_as_it_was_recorded(log: Path) -> None:
     segments = list(open_log(log_files(log)[0]).segments())
     every = [np.concatenate([getattr(item, name) for item in segments]) for name in ("intrinsic_reward", "value")]
     (reward,) = axes["intrinsic reward"].get_lines()
-    np.testing.assert_allclose(reward.get_ydata(), every[0])
-    np.testing.assert_allclose(axes["policy"].get_lines()[1].get_ydata(), every[1])
+    for line, values in ((reward, every[0]), (axes["policy"].get_lines()[1], every[1])):
+        np.testing.assert_allclose(line.get_ydata(), [*values, values[-1]])  # the last holds until its step's end
+        np.testing.assert_array_equal(line.get_xdata(), np.arange(25))
     assert axes["world-model loss"].get_lines()[1].get_ydata()[0] == 0.25
     first = axes["step 0\nworld 0"].get_images()[0].get_array()
     np.testing.assert_array_equal(first, segments[0].images[0])
     last = axes["step 24\nworld 0"].get_images()[0].get_array()
     np.testing.assert_array_equal(last, segments[-1].images[-1])
+
+
+def test_the_page_names_the_steps_and_the_counts(make_log: MakeLog) -> None:
+    """One step, seen in one cell: there is a line, and a bar of colours without formulas."""
+    title, streams = open_streams(make_log(lengths=((1,),)), Choice())
+    _, _, paint = play_page(title, streams)
+    figure = Figure(layout="constrained")
+    paint(figure)
+    figure.draw_without_rendering()
+    (heading,) = [part.get_suptitle() for part in figure.subfigs if part.get_suptitle()]
+    assert heading.endswith("steps 0 to 0, 0.0 s")
+    (reward,) = next(axes for axes in figure.axes if axes.get_title("left") == "intrinsic reward").get_lines()
+    assert np.ptp(reward.get_xdata()) == 1
+    (bar,) = (axes for axes in figure.axes if axes.get_xlabel().startswith("steps (grey"))
+    assert not any("$" in label.get_text() for label in bar.get_xticklabels(which="both"))
 
 
 def test_play_without_a_world_model_says_nothing_of_it(make_log: MakeLog) -> None:

@@ -31,6 +31,7 @@ def blueprint(
     return rrb.Blueprint(
         rrb.Tabs(*tabs),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE),
+        rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         auto_views=False,
     )

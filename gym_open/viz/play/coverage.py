@@ -6,8 +6,6 @@ import rerun as rr
 from gym_open.envs.constants import CELL_0, COLUMNS, PITCH, ROWS
 from gym_open.viz.play.columns import tensors, times
 
-TITLE = f"coverage, {100 * PITCH:.1f} cm cells"
-
 
 class Coverage:
     """Counts after how many steps the agent was in each cell of the placement grid, (16, 9), far row first.

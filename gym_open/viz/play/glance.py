@@ -53,10 +53,9 @@ class Glance(msgspec.Struct, frozen=True, eq=False):
         mean = f", means of {width:.0f} steps" if width >= 2 else ""
         found = list[Plot]()
         if REWARD in self.series:
-            found.append(Plot(f"intrinsic reward{mean}", [Curve(self.at, self.series[REWARD], _BLUE)]))
+            found.append(Plot(f"intrinsic reward{mean}", [self._curve(REWARD, _BLUE)]))
         if LOSS in self.series:
-            loss = [Curve(self.at, self.series[LOSS], _BLUE)]
-            found.append(Plot(f"world-model loss{mean}", loss, level=self.stream.threshold))
+            found.append(Plot(f"world-model loss{mean}", [self._curve(LOSS, _BLUE)], level=self.stream.threshold))
         stays = [stay for stay in self.stream.shown_stays() if stay.steps]
         lane = Curve(
             np.array([step for stay in stays for step in (stay.steps.start, stay.steps.stop)]),
@@ -69,11 +68,14 @@ class Glance(msgspec.Struct, frozen=True, eq=False):
         """Entropy and value, if they are known."""
         names = {ENTROPY: ("entropy (nats)", _BLUE, "-"), VALUE: ("value", _ORANGE, "--")}
         known = [
-            Curve(self.at, self.series[name], hue, label, line)
-            for name, (label, hue, line) in names.items()
-            if name in self.series
+            self._curve(name, hue, label, line) for name, (label, hue, line) in names.items() if name in self.series
         ]
         return Plot("policy", known) if known else None
+
+    def _curve(self, name: str, colour: str, label: str = "", style: str = "-") -> Curve:
+        """A series whose last value holds until the end of the last step, as each holds until the next."""
+        values = self.series[name]
+        return Curve(np.append(self.at, self.stream.steps.stop), np.append(values, values[-1]), colour, label, style)
 
 
 class _Means:

@@ -1,21 +1,17 @@
 """How play is laid out on the screen: a tab a stream; what is not there has no place."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import rerun.blueprint as rrb
 
-from gym_open.envs.constants import CONTROL_DT_S
-from gym_open.viz.config import VizConfig
-from gym_open.viz.play.coverage import TITLE
 from gym_open.viz.play.pictures import DEPTH, IMAGE, SEGMENTATION
 from gym_open.viz.play.series import series_entity
 from gym_open.viz.play.streams import ACTION, CONTACTS, ENTROPY, LOSS, PART, REWARD, VALUE, Stream
 
 
-def blueprint(streams: Sequence[Stream], config: VizConfig) -> rrb.Blueprint:
+def blueprint(streams: Sequence[Stream]) -> rrb.Blueprint:
     """What was seen and the table on the left, curves in the middle, words on the right."""
-    tabs = [_stream(item, config) for item in streams]
+    tabs = [_stream(item) for item in streams]
     return rrb.Blueprint(
         tabs[0] if len(tabs) == 1 else rrb.Tabs(*tabs, name="streams"),
         rrb.TimePanel(state="collapsed", timeline="step", sequence_cursor=streams[0].steps.start, fps=25.0),
@@ -25,9 +21,9 @@ def blueprint(streams: Sequence[Stream], config: VizConfig) -> rrb.Blueprint:
     )
 
 
-def _stream(stream: Stream, config: VizConfig) -> rrb.Horizontal:
+def _stream(stream: Stream) -> rrb.Horizontal:
     return rrb.Horizontal(
-        _seen(stream, config),
+        _seen(stream),
         rrb.Vertical(*_curves(stream)),
         _words(stream),
         column_shares=[5 if stream.depth or stream.segmentation else 4, 4, 3],
@@ -35,7 +31,7 @@ def _stream(stream: Stream, config: VizConfig) -> rrb.Horizontal:
     )
 
 
-def _seen(stream: Stream, config: VizConfig) -> rrb.Vertical:
+def _seen(stream: Stream) -> rrb.Vertical:
     name = f"/{stream.name}"
     pictures = [rrb.Spatial2DView(origin=f"{name}/{IMAGE}", name="observation")]
     if stream.depth:
@@ -44,10 +40,9 @@ def _seen(stream: Stream, config: VizConfig) -> rrb.Vertical:
         pictures.append(rrb.Spatial2DView(origin=f"{name}/{SEGMENTATION}", name="segmentation"))
     mapping = rrb.TensorScalarMapping(colormap="viridis", mag_filter="nearest", gamma=0.5)
     coverage = rrb.TensorView(
-        origin=f"{name}/coverage", name=TITLE, scalar_mapping=mapping, view_fit="FillKeepAspectRatio"
+        origin=f"{name}/coverage", name="coverage", scalar_mapping=mapping, view_fit="FillKeepAspectRatio"
     )
-    trailed: dict[Any, Any] = {f"{name}/table/trail": trail(config.trail_steps)}
-    table = rrb.Spatial3DView(origin=f"{name}/table", name="table", overrides=trailed)
+    table = rrb.Spatial3DView(origin=f"{name}/table", name="table")
     if len(pictures) == 1:
         return rrb.Vertical(rrb.Horizontal(*pictures, coverage, column_shares=[3, 2]), table, row_shares=[2, 3])
     return rrb.Vertical(
@@ -83,7 +78,7 @@ def _curves(stream: Stream) -> list[rrb.TimeSeriesView]:
         )
     )
     if stream.with_losses():
-        views.append(_plot("loss of each world, at every switch", f"{name}/world_loss", legend=stream.worlds <= 8))
+        views.append(_plot("loss of each world, at every switch", f"{name}/world_loss", legend=stream.worlds <= 3))
     if policy := [known[series] for series in (ENTROPY, VALUE) if series in known]:
         views.append(_plot("policy: entropy, value", *policy))
     views.append(_plot("action, contacts", series_entity(name, ACTION), series_entity(name, CONTACTS)))
@@ -111,14 +106,3 @@ def _plot(
     corner = rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend)
     axis = rrb.ScalarAxis(range=span) if span else None  # an empty one makes Rerun warn
     return rrb.TimeSeriesView(contents=list(entities), name=title, plot_legend=corner, axis_y=axis)
-
-
-def trail(steps: int) -> rrb.VisibleTimeRanges:
-    """Show the points of the last `steps` steps together, on either timeline."""
-    now, sooner = rrb.TimeRangeBoundary.cursor_relative, -steps * CONTROL_DT_S
-    return rrb.VisibleTimeRanges(
-        [
-            rrb.VisibleTimeRange("step", start=now(seq=-steps), end=now(seq=0)),
-            rrb.VisibleTimeRange("sim_time", start=now(seconds=sooner), end=now(seconds=0.0)),
-        ]
-    )

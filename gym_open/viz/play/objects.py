@@ -1,5 +1,6 @@
 """What moves on the table: objects, the agent's trail and push, what touched what."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -20,13 +21,15 @@ PARKED_Y = -15.0
 """An object beyond this y is not on the table: the model parks unused ones 30 m behind the camera."""
 MOVE_M = 0.12
 """Length of the arrow of a move along one axis."""
+_TRAIL_POINTS = 20
+"""Of a trail, about: it is written anew for every step that is shown."""
 M_PER_NS = 0.006
 """Length of a contact's arrow for one newton second: a push from rest, 25 N s, is shown as 15 cm."""
 
 
 def log_styles(rec: rr.RecordingStream, entity: str) -> None:
     """Log how trail, moves and contacts look under `entity`, the table's."""
-    rec.log(f"{entity}/trail", rr.Points3D.from_fields(radii=0.012, colors=c.COLOUR["agent"]), static=True)
+    rec.log(f"{entity}/trail", rr.LineStrips3D.from_fields(radii=0.008, colors=c.COLOUR["agent"]), static=True)
     rec.log(f"{entity}/move", rr.Arrows3D.from_fields(radii=0.012, colors=(255, 255, 255)), static=True)
     rec.log(f"{entity}/contacts", rr.Arrows3D.from_fields(radii=0.01, show_labels=False), static=True)
 
@@ -34,7 +37,7 @@ def log_styles(rec: rr.RecordingStream, entity: str) -> None:
 def log_objects(
     rec: rr.RecordingStream, entity: str, names: Sequence[str], states: np.ndarray, steps: np.ndarray, *, begins: bool
 ) -> None:
-    """Log where objects are, an entity a kind, and the agent's trail.
+    """Log where objects are, an entity a kind.
 
     Args:
         rec: the recording.
@@ -62,8 +65,43 @@ def log_objects(
                 show_labels=[False] * len(there),
             )
             rec.send_columns(f"{entity}/{kind}", times(steps[:1]), fixed.partition([len(there)]))
-    agent = list(names).index("agent")
-    rec.send_columns(f"{entity}/trail", at, rr.Points3D.columns(positions=moved[:, agent, :3]))
+
+
+class Trail:
+    """The agent's path over its last steps in this world, thinned or not: a line of its own at each step shown.
+
+    Of one line a step, and not of a point a step and a range of time that is shown, which would hold the world before.
+    """
+
+    def __init__(self, steps: int) -> None:
+        self._steps, self._every = steps, math.ceil(steps / _TRAIL_POINTS)
+        self._past = np.empty((0, 3), np.float32)
+
+    def log(
+        self, rec: rr.RecordingStream, entity: str, agent: np.ndarray, first_step: int, numbers: np.ndarray,
+        *, begins: bool,
+    ) -> None:  # fmt: skip
+        """Log the trail of a span, which goes on from the one before unless it `begins`.
+
+        Args:
+            rec: the recording.
+            entity: the table's.
+            agent: (T + 1, 3) where it was.
+            first_step: number of the span's first step.
+            numbers: of 0…T, those shown.
+            begins: whether the world is shown from here on.
+        """
+        past = agent[:0] if begins else self._past
+        path = np.concatenate([past, agent])
+        start = first_step - len(past)
+        strips: list[np.ndarray] = []
+        for here in (len(past) + numbers).tolist():
+            oldest = max(0, here - self._steps)
+            between = [i for i in range(oldest + 1, here) if (start + i) % self._every == 0]
+            strips.append(path[[oldest, *between, here]].astype(np.float32))
+        if strips:
+            rec.send_columns(f"{entity}/trail", times(first_step + numbers), rr.LineStrips3D.columns(strips=strips))
+        self._past = path[:-1][-self._steps :]
 
 
 def log_moves(rec: rr.RecordingStream, entity: str, agent: np.ndarray, actions: np.ndarray, steps: np.ndarray) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 import rerun as rr
 
 from gym_open import artefacts
+from gym_open.envs.constants import PITCH
 from gym_open.formats.releases import open_release
 from gym_open.formats.releases.reader import Release
 from gym_open.viz.choice import Choice
@@ -42,7 +43,7 @@ def view(config: VizConfig, source: Path, choice: Choice) -> View:
             rec.log(f"{stream.name}/about/settings", document, static=True)
             log_stream(rec, stream, config)
 
-    return View(title, fill, blueprint(streams, config))
+    return View(title, fill, blueprint(streams))
 
 
 def open_streams(source: Path, choice: Choice) -> tuple[str, list[Stream]]:
@@ -70,5 +71,6 @@ def _facts(stream: Stream) -> dict[str, object]:
         "steps shown": f"{stream.steps.start:,} to {stream.steps.stop - 1:,}",
         "segments shown": len(stream.shown_stays()),
         "worlds of the pool": stream.worlds,
+        "coverage": f"steps in each cell, {100 * PITCH:.1f} cm wide",
         "threshold of the loss": "none" if stream.threshold is None else stream.threshold,
     }

@@ -12,7 +12,9 @@ from gym_open.viz.words import cell, table
 _HOW = """\
 A segment is play in one world without interruption. What came of it stands in the entity of its name, which the link
 is to: select it there, or under `stream_{stream}/segments` in the list of streams (the panel at the bottom), and look
-at the selection panel (at the right edge). One segment alone is opened with `--stream {stream} --segment NUMBER`."""
+at the selection panel (at the right edge). One segment alone is opened with `--stream {stream} --segment NUMBER`.
+*Loss in* and *out* are the losses of its world when it was entered and left: *new* if it was never visited before, *–*
+if it is not known."""
 MOST_LISTED = 300
 """Segments of a document: Rerun draws all of it in every frame."""
 
@@ -31,15 +33,15 @@ def list_of(stream: Stream) -> str:
     """The document, in Markdown."""
     stays = stream.shown_stays()
     losses = bool(stream.with_losses())
-    head = ["", "world", "first step", "steps", "ended", *(["loss at entry", "loss at exit"] if losses else [])]
+    head = ["", "world", "from", "steps", *(["loss in", "out"] if losses else []), "ended"]
     rows = [
         [
-            f"[segment {stay.number}](recording://{segment_entity(stream.name, stay.number)})",
+            f"[{stay.number}](recording://{segment_entity(stream.name, stay.number)})",
             str(stay.world),
             f"{stay.steps.start:,}",
             f"{len(stay.steps):,}",
-            cell(stay.ended or "goes on"),
             *([loss_text(stay.loss_at_entry), loss_text(stay.loss_at_exit)] if losses else []),
+            cell(stay.ended or "goes on"),
         ]
         for stay in stays[:MOST_LISTED]
     ]
@@ -58,7 +60,7 @@ def loss_text(loss: float) -> str:
     """A loss of a world in a few characters."""
     if math.isnan(loss):
         return "–"
-    return "never visited" if math.isinf(loss) else f"{loss:.2g}"
+    return "new" if math.isinf(loss) else f"{loss:.2g}"
 
 
 class Tally:

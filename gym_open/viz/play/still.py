@@ -45,8 +45,8 @@ def play_page(title: str, streams: Sequence[Stream]) -> tuple[float, float, "Cal
 
 def _heading(title: str, play: Glance, streams: Sequence[Stream]) -> str:
     steps, others = play.stream.steps, len(streams) - 1
-    words = f"{title}, stream {play.stream.number}: steps {steps.start:,} to {steps.stop:,}"
-    words += f", {len(steps) * CONTROL_DT_S:,.0f} s" if not play.stream.damage else ", then damaged"
+    words = f"{title}, stream {play.stream.number}: steps {steps.start:,} to {steps.stop - 1:,}"
+    words += f", {len(steps) * CONTROL_DT_S:,.1f} s" if not play.stream.damage else ", then damaged"
     return words + (f" ({others} other stream{'s' * (others != 1)}: --stream)" if others else "")
 
 
@@ -62,6 +62,7 @@ def _pictures(figure: "SubFigure", play: Glance) -> None:
 def _coverage(figure: "SubFigure", play: Glance) -> None:
     """How long the agent was in each cell, on a log scale: in most it hardly ever is."""
     from matplotlib.colors import LogNorm
+    from matplotlib.ticker import NullFormatter
 
     counts = play.moments[-1].coverage.astype(float)
     axes = figure.subplots()
@@ -77,5 +78,6 @@ def _coverage(figure: "SubFigure", play: Glance) -> None:
     axes.set_ylabel("y (m)", fontsize=8)
     axes.tick_params(labelsize=8)
     bar = figure.colorbar(image, ax=axes, orientation="horizontal", shrink=0.6, format="{x:,.0f}")
+    bar.ax.xaxis.set_minor_formatter(NullFormatter())  # else few counts get labels that want formulas
     bar.ax.tick_params(labelsize=8)
     bar.set_label("steps (grey: never there)", fontsize=8)

@@ -33,6 +33,7 @@ from gym_open.viz.play.streams import ACTION, Span, Stream
 def log_stream(rec: rr.RecordingStream, stream: Stream, config: VizConfig) -> None:
     """Write everything of one stream into the recording, what is known before its steps are read first."""
     name, tally, coverage = stream.name, segments.Tally(rec, stream), Coverage()
+    trail = objects.Trail(config.trail_steps)
     table.log_table(rec, f"{name}/table")
     objects.log_styles(rec, f"{name}/table")
     if stream.segmentation:
@@ -48,11 +49,14 @@ def log_stream(rec: rr.RecordingStream, stream: Stream, config: VizConfig) -> No
             shown = thinned(span, total, config.max_images, last=last)
             if shown.size:
                 pictures.log_pictures(rec, name, span, shown)
-            _log_table(rec, f"{name}/table", span, thinned(span, total, config.max_poses, last=last))
+            poses = thinned(span, total, config.max_poses, last=last)
+            _log_table(rec, f"{name}/table", span, poses)
+            agent = span.states[:, span.names.index("agent"), :3]
+            trail.log(rec, f"{name}/table", agent, span.first_step, poses, begins=span.begins)
             points = thinned(span, total, config.max_points, last=False)
             if points.size:
                 series.log_series(rec, name, span, points)
-            places = span.states[1:, span.names.index("agent"), :2]
+            places = agent[1:, :2]
             coverage.log(rec, name, span.first_step, places, shown)
             events.log_stuck(rec, name, span.stuck)
             tally.add(span, places)

@@ -8,7 +8,7 @@ from gym_open.envs.physics.model import kind_of
 from gym_open.envs.puzzles import Puzzle
 from gym_open.formats.pictures import encode_pngs
 from gym_open.viz.play.columns import YELLOW, tensors, times
-from gym_open.viz.play.objects import log_contacts, log_moves, log_objects, log_styles
+from gym_open.viz.play.objects import Trail, log_contacts, log_moves, log_objects, log_styles
 from gym_open.viz.play.table import log_scenery, log_table
 from gym_open.viz.puzzles.episodes import Episode
 from gym_open.viz.puzzles.names import colour
@@ -17,7 +17,9 @@ _REACH = 0.3
 """Metres of the arrow of an action that is certain."""
 
 
-def log_agent(rec: rr.RecordingStream, puzzle: Puzzle, episode: Episode, number: int, longest: int) -> None:
+def log_agent(
+    rec: rr.RecordingStream, puzzle: Puzzle, episode: Episode, number: int, *, longest: int, trail_steps: int
+) -> None:
     """Write everything of one agent's episode.
 
     Args:
@@ -26,12 +28,13 @@ def log_agent(rec: rr.RecordingStream, puzzle: Puzzle, episode: Episode, number:
         episode: what the agent did.
         number: of the agent; all is under it.
         longest: steps of the longest episode beside it, up to which the return is drawn.
+        trail_steps: of the agent's trail.
     """
     root, moments = f"{number}", np.arange(episode.steps + 1)
     pictures = encode_pngs(episode.images)
     columns = rr.EncodedImage.columns(blob=pictures, media_type=["image/png"] * len(pictures))
     rec.send_columns(f"{root}/observation", times(moments), columns)
-    _log_table(rec, f"{root}/table", puzzle, episode)
+    _log_table(rec, f"{root}/table", puzzle, episode, trail_steps)
     _log_touched(rec, f"{root}/table", episode)
     _log_series(rec, root, episode, number, longest)
     _log_policy(rec, root, episode, number)
@@ -75,14 +78,15 @@ def _log_policy(rec: rr.RecordingStream, root: str, episode: Episode, number: in
     rec.send_columns(f"{root}/table/policy", acting, arrows.partition([len(moves)] * episode.steps))
 
 
-def _log_table(rec: rr.RecordingStream, entity: str, puzzle: Puzzle, episode: Episode) -> None:
+def _log_table(rec: rr.RecordingStream, entity: str, puzzle: Puzzle, episode: Episode, trail_steps: int) -> None:
     moments = np.arange(episode.steps + 1)
     log_table(rec, entity)
     log_scenery(rec, entity, puzzle, times([0]))
     log_styles(rec, entity)
     log_objects(rec, entity, episode.objects, episode.states, moments, begins=True)
-    agent = episode.states[:-1, episode.objects.index("agent"), :3]
-    log_moves(rec, entity, agent, np.array(episode.actions), moments[:-1])
+    agent = episode.states[:, episode.objects.index("agent"), :3]
+    Trail(trail_steps).log(rec, entity, agent, 0, moments, begins=True)
+    log_moves(rec, entity, agent[:-1], np.array(episode.actions), moments[:-1])
     log_contacts(rec, entity, episode.contacts, moments[:-1])
 
 

@@ -1,6 +1,6 @@
 """How all puzzles of a task went: who earned how much within i actions, who solved which, which are hard.
 
-Timeline `actions`: at i, everything shows what was earned within i actions.
+Timeline `actions`: at i, the dots show what was earned within i actions, and the cursor in the curve stands there.
 
     <task>/within/<n>       mean return of agent n within i actions
     <task>/puzzles/<n>      a dot a puzzle, the tens of its number downwards, its units to the right
@@ -36,9 +36,9 @@ _ROW = 10
 """Puzzles side by side."""
 _LEGEND = (
     "± is half of the 95% interval over puzzles. A puzzle is solved when all of its return was earned. In the picture "
-    "of who solved what, a dot is dark for nothing earned, yellow for all, orange for the danger patch; the tens of a "
-    "puzzle's number go down, its units to the right; hover over a dot to read it. Move the time cursor to i, and all "
-    "shows what was earned within i actions."
+    "of who solved what, a dot is dark for nothing earned, yellow for all{danger}; the tens of a puzzle's number go "
+    "down, its units to the right; hover over a dot to read it. Move the time cursor to i: the dots show what was "
+    "earned within i actions, and the cursor in the curve stands there; all else is of the whole budget."
 )
 _WIDTH, _HEIGHT = _ROW + 1.5, _ROW + 4.5
 """From one agent's puzzles to the next one's."""
@@ -142,7 +142,7 @@ def _about(group: Table) -> str:
             "",
             *table(["agent", "A-Success", "mean return", "solved"], rows),
             "",
-            _LEGEND,
+            _LEGEND.format(danger=", orange for the danger patch" if group.task == "avoidance" else ""),
             "",
             "## Hardest for these agents",
             "",

@@ -10,15 +10,12 @@ events                              touches and ends, in words
 about/puzzle                        the table of agents, and the puzzle's record
 """
 
-from typing import Any
-
 import rerun as rr
 import rerun.blueprint as rrb
 
 from gym_open.envs.tasks import step_budget
 from gym_open.viz.config import VizConfig
 from gym_open.viz.play.columns import times
-from gym_open.viz.play.layout import trail
 from gym_open.viz.puzzles.agent import log_agent
 from gym_open.viz.puzzles.episodes import Episode, Puzzled
 from gym_open.viz.render import DIRECTIONS
@@ -36,10 +33,10 @@ def side_by_side(config: VizConfig, played: Puzzled) -> View:
         rec.log("about/puzzle", rr.TextDocument(_about(played), media_type="text/markdown"), static=True)
         longest = max(episode.steps for episode in played.episodes)
         for number, episode in enumerate(played.episodes):
-            log_agent(rec, played.puzzle, episode, number, longest)
+            log_agent(rec, played.puzzle, episode, number, longest=longest, trail_steps=config.trail_steps)
             _log_events(rec, number, episode)
 
-    return View(played.id, fill, _layout(config, played))
+    return View(played.id, fill, _layout(played))
 
 
 def _log_events(rec: rr.RecordingStream, number: int, episode: Episode) -> None:
@@ -87,8 +84,8 @@ def _in_words(episode: Episode) -> str:
     return " ".join(f"{action}" for action in episode.actions)
 
 
-def _layout(config: VizConfig, played: Puzzled) -> rrb.Blueprint:
-    columns = [_agent(config, number, episode) for number, episode in enumerate(played.episodes)]
+def _layout(played: Puzzled) -> rrb.Blueprint:
+    columns = [_agent(number, episode) for number, episode in enumerate(played.episodes)]
     groups = [columns[i : i + _ABREAST] for i in range(0, len(columns), _ABREAST)]
     abreast = [
         rrb.Horizontal(*group, name=f"agents {_ABREAST * i + 1} to {_ABREAST * i + len(group)}")
@@ -105,19 +102,17 @@ def _layout(config: VizConfig, played: Puzzled) -> rrb.Blueprint:
     )
 
 
-def _agent(config: VizConfig, number: int, episode: Episode) -> rrb.Vertical:
+def _agent(number: int, episode: Episode) -> rrb.Vertical:
     """The table over the observation and, of a policy, the bars of its actions."""
     seen: rrb.View | rrb.Horizontal = rrb.Spatial2DView(origin=f"/{number}/observation", name="observation")
     if episode.opinion:
         hidden = rrb.PlotLegend(visible=False)
         bars = rrb.BarChartView(origin=f"/{number}/policy/probabilities", name="p(action)", plot_legend=hidden)
         seen = rrb.Horizontal(seen, bars)
-    trailed: dict[Any, Any] = {f"/{number}/table/trail": trail(config.trail_steps)}
     return rrb.Vertical(
         rrb.Spatial3DView(
             origin=f"/{number}/table",
             name=f"{episode.name}: {episode.outcome}",
-            overrides=trailed,
         ),
         seen,
         row_shares=[3, 2],

@@ -92,7 +92,7 @@ def _opinion_plot(episodes: Sequence[Episode], judges: list[int], name: str) -> 
         values = opinion.values if name == "value" else opinion.entropy
         curves.append(
             Curve(
-                np.arange(len(values)), values, COLOURS[number % len(COLOURS)], episodes[number].name,
+                np.arange(len(values) + 1), np.append(values, values[-1]), COLOURS[number % len(COLOURS)], episodes[number].name,
                 STYLES[number % len(STYLES)],
             )
         )  # fmt: skip
@@ -129,6 +129,8 @@ def overview(tables: Sequence[Table]) -> Drawing:
 
 
 def _draw_within(axes: "Axes", table: Table) -> None:
+    from matplotlib.ticker import NullFormatter
+
     actions = np.arange(1, table.budget + 1)
     for number, agent in enumerate(table.agents):
         label = f"{agent.name}  {agent.record.a_success:.3f} ± {agent.record.a_success_half_width_95:.3f}"
@@ -138,6 +140,7 @@ def _draw_within(axes: "Axes", table: Table) -> None:
         )  # fmt: skip
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set(xlabel="actions i", ylim=(-0.02, 1.05))
     axes.set_title("mean return within i actions", fontsize=9)
     axes.grid(alpha=0.25)

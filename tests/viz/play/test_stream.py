@@ -130,9 +130,9 @@ def test_objects_are_where_the_log_says(
 
 
 def test_trail_and_moves_follow_the_agent(recording: Any, segments: list[Segment]) -> None:
-    _, points = recording.column("/stream_0/table/trail", "Points3D:positions")
+    _, strips = recording.column("/stream_0/table/trail", "LineStrips3D:strips")
     agent = shown(segments, lambda segment: segment.object_state)[:, 0, :3]
-    assert np.allclose(np.array(points)[:, 0], agent, rtol=1e-6)
+    assert np.allclose([strip[-1] for (strip,) in strips], agent, rtol=1e-6)
     steps, arrows = recording.column("/stream_0/table/move", "Arrows3D:vectors")
     actions = np.concatenate([segment.actions for segment in segments])
     assert steps == list(range(len(actions)))
@@ -185,7 +185,7 @@ def test_segments_tell_what_came_of_them(recording: Any, segments: list[Segment]
     listed = recording.static("/stream_0/segments", "TextDocument:text")[0]
     for segment in segments:
         entity = f"/stream_0/segments/segment_{segment.index:04d}"
-        assert f"[segment {segment.index}](recording:/{entity})" in listed
+        assert f"[{segment.index}](recording:/{entity})" in listed
         facts = {
             name: recording.static(entity, f"Segment:{name}")[0]
             for name in ("world", "first_step", "steps", "ended", "contacts", "mean_intrinsic_reward", "loss_at_exit")
@@ -238,6 +238,19 @@ def test_all_is_thinned_by_the_stated_rule(log: Path, segments: list[Segment], t
         assert set(steps) == {step for step in range(24) if step % math.ceil(24 / limit) == 0} | starts | ends
         if component.startswith("Tensor"):
             assert [sum(item["buffer"]) for (item,) in values] == steps  # what is not shown is counted
+
+
+def test_the_trail_is_of_this_world_and_of_steps_shown_or_not(
+    log: Path, segments: list[Segment], tmp_path: Path, read_back: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gym_open.viz.play.logs.PIECE", 3)
+    recording = read_back(recorded(log, tmp_path / "trail.rrd", VizConfig(max_poses=6, trail_steps=5), stream=0))
+    steps, strips = recording.column("/stream_0/table/trail", "LineStrips3D:strips")
+    assert set(steps) == {*range(0, 25, 4)} | {segment.first_step for segment in segments}
+    for step, (strip,) in zip(steps, strips, strict=True):
+        segment = [item for item in segments if item.first_step <= step][-1]
+        path = segment.object_state[: step - segment.first_step + 1, 0, :3][-6:]
+        assert np.allclose(strip, path if len(path) > 1 else [path[0]] * 2, rtol=1e-6)
 
 
 def test_long_segments_are_drawn_in_pieces(
