@@ -4,6 +4,7 @@ import errno
 import fcntl
 import hashlib
 import os
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -19,6 +20,20 @@ def sha256_file(path: Path) -> str:
     """SHA-256 of a file's bytes, in hex."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def read_regular(path: Path, most: int, *, tail: bool = False) -> bytes:
+    """The first bytes of a file, at most `most`; or the last ones, if `tail`.
+
+    Raises:
+        OSError: if it cannot be read, or is a link or no regular file, which may have no end or make one wait.
+    """
+    with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:  # noqa: PTH123  (no path)
+        status = os.fstat(file.fileno())
+        if not stat.S_ISREG(status.st_mode):
+            raise OSError(errno.EINVAL, "not a regular file", str(path))
+        file.seek(max(status.st_size - most, 0) if tail else 0)
+        return file.read(most)
 
 
 def write_atomically(path: Path, data: bytes) -> None:

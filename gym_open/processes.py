@@ -3,6 +3,7 @@
 import ctypes
 import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -12,7 +13,10 @@ _LIBC = ctypes.CDLL(None)
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """Being told to end, or losing the terminal, is taken as Ctrl-C is."""
+    """Being told to end, or losing the terminal, is taken as Ctrl-C is; only in the main thread."""
+    if threading.current_thread() is not threading.main_thread():  # only that one may say what a signal does
+        yield
+        return
     signs = (signal.SIGTERM, signal.SIGHUP)
     before = {sign: signal.signal(sign, signal.default_int_handler) for sign in signs}
     try:

@@ -25,12 +25,16 @@ from rich.progress import (
 from rich.table import Column
 from rich.text import Text
 
+from gym_open.files import read_regular
+
 console = Console(stderr=True)
 
 FILE = "GYM_OPEN_PROGRESS"
 """Environment variable that names the file in which a process says how far it is."""
 _INTERVAL = 1.0
 """Seconds between two writes of that file."""
+_MAX_BYTES = 4096
+"""Of that file that are read."""
 
 
 class Progressed(msgspec.Struct, frozen=True):
@@ -45,7 +49,7 @@ class Progressed(msgspec.Struct, frozen=True):
     def read(cls, path: Path) -> "Progressed | None":
         """What the file at `path` says, or None if it says nothing that can be read."""
         try:
-            return msgspec.json.decode(path.read_bytes(), type=cls)
+            return msgspec.json.decode(read_regular(path, _MAX_BYTES), type=cls)
         except (OSError, msgspec.DecodeError):
             return None
 

@@ -2,8 +2,12 @@
 
 from typing import Annotated, Literal
 
+from msgspec import Meta
+
 from gym_open.config import Config, Count, Fraction, NonNegativeFloat, PositiveFloat, PositiveInt, matching
 
+Width = Annotated[int, Meta(ge=1, le=16_384)]
+"""Of a layer; bounded, since a network is made as its file says before its weights are looked at."""
 Precision = Literal["fp32", "bf16"]
 Device = Literal["cpu", "cuda"]
 Architecture = Literal["cnn", "impala", "state"]
@@ -25,7 +29,7 @@ class EncoderConfig(Config, frozen=True, kw_only=True):
     architecture: Architecture = "cnn"
     """`cnn` is the paper's three-layer network (Mnih et al. 2015), `impala` the deeper one of Espeholt et al. 2018.
     `state` looks at no picture: a policy is told where everything is, which shows what seeing costs."""
-    features: PositiveInt = 512
+    features: Width = 512
     """Width of the last layer."""
     pixel_scale: PositiveFloat = 20.0
     """Pixels, less the mean picture, are multiplied by this over 255: objects are only four pixels wide."""
@@ -36,7 +40,7 @@ class EncoderConfig(Config, frozen=True, kw_only=True):
 class IcmConfig(Config, frozen=True, kw_only=True):
     """Intrinsic curiosity module (Pathak et al. 2017; `pathak22/noreward-rl`)."""
 
-    hidden: PositiveInt = 256
+    hidden: Width = 256
     """Width of the hidden layer of the inverse and of the forward model."""
     beta: Fraction = 0.2
     """Share of the forward error in the loss; the inverse error has the rest."""
@@ -51,9 +55,9 @@ class IcmConfig(Config, frozen=True, kw_only=True):
 class RndConfig(Config, frozen=True, kw_only=True):
     """Random network distillation (Burda et al. 2018; `openai/random-network-distillation`)."""
 
-    hidden: PositiveInt = 512
+    hidden: Width = 512
     """Width of the predictor's two hidden layers."""
-    outputs: PositiveInt = 512
+    outputs: Width = 512
     """Features that the target gives and the predictor predicts."""
     clip: PositiveFloat = 5.0
     """Deviations beyond which the target's pixels are clipped."""
@@ -64,7 +68,7 @@ class RndConfig(Config, frozen=True, kw_only=True):
 class CurlConfig(Config, frozen=True, kw_only=True):
     """Contrastive world model (Srinivas et al. 2020, `MishaLaskin/curl`), with random shift in place of its crop."""
 
-    latent: PositiveInt = 50
+    latent: Width = 50
     """Width of the projection that is compared."""
     pad: Count = 4
     """Largest random shift, in pixels, of the views of a picture."""

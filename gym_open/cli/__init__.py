@@ -56,6 +56,7 @@ COMMANDS: dict[str, type[Command]] = {
     "serve": world.Serve,
 }
 
+_GOES_ON = "; the same command goes on from the last checkpoint"
 _FLAGS = (tyro.conf.FlagCreatePairsOff,)
 """No `--no-…` beside each option that is on or off."""
 
@@ -89,7 +90,8 @@ def _run(name: str, words: list[str]) -> int:
         print(printable(f"error: {error.filename or 'a file'}: {error.strerror or error}"), file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("stopped; the same command goes on from the last checkpoint", file=sys.stderr)
+        goes_on = "" if name in ("viz", "render sheet", "render video") else _GOES_ON
+        print(f"stopped{goes_on}", file=sys.stderr)
         return 130
     return 0
 

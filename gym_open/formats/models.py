@@ -8,7 +8,7 @@ import msgspec
 import torch
 from torch import Tensor, nn
 
-from gym_open.agents.config import EncoderConfig
+from gym_open.agents.config import EncoderConfig, Width
 from gym_open.agents.encoder import Encoder
 from gym_open.agents.policy import ActorCritic, make_encoder
 from gym_open.artefacts import canonical_json, lineage, write_atomically
@@ -34,7 +34,7 @@ class PolicyArchitecture(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
 
     kind: Literal["policy"] = "policy"
     encoder: EncoderConfig
-    n_actions: int
+    n_actions: Width
 
 
 A = TypeVar("A", EncoderArchitecture, PolicyArchitecture)

@@ -8,6 +8,8 @@ import numpy as np
 from PIL import Image, ImageFont
 
 from gym_open.errors import UsageError
+from gym_open.processes import interruptible
+from gym_open.viz.places import hidden_beside, refuse_artefact
 
 FILMS = (".mp4", ".gif")
 PAPER, INK, FAINT = (250, 250, 248), (25, 25, 25), (110, 110, 110)
@@ -23,14 +25,20 @@ def write_film(out: Path, frames: Iterator[np.ndarray], fps: int) -> Path:
 
 
 def write_whole(out: Path, write: Callable[[Path], Any]) -> Path:
-    """Write a file beside `out`, then rename it."""
+    """Write a file beside `out`, then rename it.
+
+    Raises:
+        UsageError: if the place is in a finished artefact.
+    """
+    refuse_artefact(out)
     out.parent.mkdir(parents=True, exist_ok=True)
-    beside = out.with_name(f".{out.name}.tmp")
-    try:
-        write(beside)
-        return beside.replace(out)
-    finally:
-        beside.unlink(missing_ok=True)
+    beside = hidden_beside(out)
+    with interruptible():
+        try:
+            write(beside)
+            return beside.replace(out)
+        finally:
+            beside.unlink(missing_ok=True)
 
 
 def check_suffix(out: Path, known: tuple[str, ...]) -> None:

@@ -25,6 +25,7 @@ from gym_open.errors import GymOpenError, UsageError
 from gym_open.files import unwritable
 from gym_open.processes import end_with_parent, interruptible
 from gym_open.terminal import printable
+from gym_open.viz.places import hidden_beside, refuse_artefact
 from gym_open.viz.view import View
 from gym_open.viz.web_page import LOOPBACK, Page
 
@@ -44,23 +45,25 @@ def save(view: View, path: Path) -> Path:
 
     Raises:
         ArtefactError: if the source is missing or damaged, or nothing can be written there.
-        UsageError: if the name does not end in `.rrd`.
+        UsageError: if the name does not end in `.rrd`, or the place is in a finished artefact.
     """
     if path.suffix != ".rrd":
         raise UsageError(f"{path}: a recording's name must end in .rrd, got {path.suffix or 'no ending'!r}")
-    beside = path.with_name(f".{path.name}.tmp")
+    refuse_artefact(path)
+    beside = hidden_beside(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         beside.touch()
     except OSError as error:
         raise unwritable(path, error) from None
-    try:
-        _stream(view, lambda rec: rec.save(beside))
-        return beside.replace(path)
-    except _LostError as error:
-        raise unwritable(path, OSError(str(error))) from None
-    finally:
-        beside.unlink(missing_ok=True)
+    with interruptible():
+        try:
+            _stream(view, lambda rec: rec.save(beside))
+            return beside.replace(path)
+        except (_LostError, OSError) as error:
+            raise unwritable(path, error if isinstance(error, OSError) else OSError(str(error))) from None
+        finally:
+            beside.unlink(missing_ok=True)
 
 
 def native(view: View) -> None:

@@ -4,13 +4,17 @@ Rerun's page asks Google for a font, and tells Rerun's makers about its use; a b
 So it is passed on from Rerun's own server with a header that forbids it.
 """
 
+import http.client
+import sys
 import threading
-import urllib.request
+from contextlib import closing
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 LOOPBACK = "127.0.0.1"
+_HERE = {LOOPBACK, "localhost"}
+"""With any port: one may be forwarded from another host."""
 _FILES = {"/", "/re_viewer.js", "/re_viewer_bg.wasm", "/favicon.svg", "/favicon.ico"}
 
 
@@ -26,8 +30,7 @@ class Page:
             data: port of the data that the page shows.
         """
         self.port = port
-        self._server = ThreadingHTTPServer((LOOPBACK, port), _handler(inner, data))
-        self._server.daemon_threads = True
+        self._server = _Server((LOOPBACK, port), _handler(inner, data))
         self._thread = threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True)
 
     def __enter__(self) -> Self:
@@ -42,6 +45,19 @@ class Page:
         self._thread.join()
 
 
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        if not isinstance(sys.exception(), OSError):  # a browser may close a connection whenever it likes
+            super().handle_error(request, client_address)
+
+
+def _is_here(host: str) -> bool:
+    """Whether a request's `Host` is this machine: another one's name may have been made to lead here."""
+    return host.rpartition(":")[0] in _HERE or host in _HERE
+
+
 def _handler(inner: int, data: int) -> type[BaseHTTPRequestHandler]:
     source = f"http://{LOOPBACK}:{data}"
     start = f"/?url=rerun%2B{source}/proxy&hide_welcome_screen"
@@ -53,7 +69,9 @@ def _handler(inner: int, data: int) -> type[BaseHTTPRequestHandler]:
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             name = self.path.partition("?")[0]
-            if self.path == "/":
+            if not _is_here(self.headers.get("Host", "")):
+                self.send_error(403)
+            elif self.path == "/":
                 self.send_response(302)
                 self.send_header("Location", start)
                 self.send_header("Content-Length", "0")
@@ -64,16 +82,22 @@ def _handler(inner: int, data: int) -> type[BaseHTTPRequestHandler]:
                 self.send_error(404)
 
         def _pass_on(self, name: str) -> None:
-            with urllib.request.urlopen(f"http://{LOOPBACK}:{inner}{name}", timeout=30) as answer:
-                body = answer.read()
-            self.send_response(200)
-            self.send_header("Content-Type", answer.headers["Content-Type"])
+            try:
+                with closing(http.client.HTTPConnection(LOOPBACK, inner, timeout=30)) as connection:
+                    connection.request("GET", name)
+                    answer = connection.getresponse()
+                    body, kind = answer.read(), answer.getheader("Content-Type", "application/octet-stream")
+            except (OSError, http.client.HTTPException):
+                self.send_error(502)
+                return
+            self.send_response(answer.status)
+            self.send_header("Content-Type", kind)
             self.send_header("Content-Length", str(len(body)))
             self.send_header("Content-Security-Policy", policy)
             self.end_headers()
             self.wfile.write(body)
 
-        def log_request(self, code: int | str = "-", size: int | str = "-") -> None:
-            del code, size  # nobody wants a line a request
+        def log_message(self, format: str, *args: Any) -> None:  # noqa: A002  (its name there)
+            del format, args  # nobody wants a line a request
 
     return Handler

@@ -67,7 +67,13 @@ class Log:
         self.stuck: list[Stuck] = []
         for message in self._messages(schemas.SWITCH, schemas.STUCK):
             if message.topic == schemas.SWITCH:
-                self.switches.append(decode_switch(message.data))
+                switch = decode_switch(message.data)
+                if len(switch.world_losses) != len(self.puzzles):
+                    raise LogError(
+                        f"{self.path}: switch at step {switch.step}: {len(switch.world_losses)} losses for a pool of "
+                        f"{len(self.puzzles)} worlds; {RESTORE}"
+                    )
+                self.switches.append(switch)
             else:
                 self.stuck.append(decode_stuck(message.data))
         self.n_steps: int = sum(file.count(schemas.STEP) for file in files)

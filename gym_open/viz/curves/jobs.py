@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from gym_open import artefacts
+from gym_open.files import read_regular
 from gym_open.progress import Progressed
 from gym_open.viz.words import cell, table
 
@@ -63,9 +64,7 @@ def _job(root: Path, name: str) -> Job:
     try:
         if (said := Progressed.read(progress)) and _is_fresh(progress):
             return Job(name, stage, "at work", f"{said.done:,} of {said.total:,}, {said.rate:,.1f}/s")
-        with output.open("rb") as file:
-            file.seek(max(output.stat().st_size - _TAIL, 0))
-            lines = file.read().decode(errors="replace").splitlines()
+        lines = read_regular(output, _TAIL, tail=True).decode(errors="replace").splitlines()
     except OSError:
         return Job(name, stage, "not begun", "")
     errors = [line.strip("│ ").removeprefix("error: ") for line in lines if line.strip("│ ").startswith("error: ")]

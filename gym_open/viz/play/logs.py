@@ -51,6 +51,7 @@ def _stream(log: Log) -> Stream:
     first = next(log.segments(GLANCE), None)
     if first is None or not len(first.actions):
         raise LogError(f"{log.path}: no step of it is whole; there is nothing to see ({log.damage or 'no play in it'})")
+    _check_agent(log, first)
     steps = range(first.first_step, first.first_step + log.n_steps)
     begun = Stay(first.index, first.world, steps, None, math.nan, math.nan)
     series = _series(first)
@@ -71,6 +72,11 @@ def _stream(log: Log) -> Stream:
     )
 
 
+def _check_agent(log: Log, item: Segment) -> None:
+    if "agent" not in item.object_names:
+        raise LogError(f"{log.path}: segment {item.index}: no agent among its objects; give a log that gym-open wrote")
+
+
 def geom_names() -> list[str]:
     """What geoms of the default world's model belong to, by number, such as `agent`, `heavy_3`, `seen_wall_east`."""
     return thing_names(build_model(WorldOptions()))
@@ -81,6 +87,7 @@ def _spans(log: Log, wanted: range, all_steps: range) -> Iterator[Span]:
         steps = overlap(wanted, range(item.first_step, item.first_step + len(item.actions)))
         if not steps:
             continue
+        _check_agent(log, item)
         start, stop = steps.start - item.first_step, steps.stop - item.first_step
         yield Span(
             segment=item.index,

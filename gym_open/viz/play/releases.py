@@ -77,11 +77,14 @@ def open_streams(release: Release) -> list[Stream]:
 
 def _streams(release: Release) -> list[Stream]:
     rows = release.arrow_table("streams").to_pylist()
-    switches, segments = (release.arrow_table(name).to_pylist() for name in ("switches", "segments"))
+    names = ("switches", "segments", "worlds")
+    switches, segments, worlds = (release.arrow_table(name).to_pylist() for name in names)
     found: list[Stream] = []
     for row in rows:
         number = row["stream"]
         own = [_switch(item) for item in switches if item["stream"] == number]
+        if {len(item.world_losses) for item in own} - {sum(world["stream"] == number for world in worlds)}:
+            raise ValueError(f"stream {number}: a switch does not tell a loss for each world of the pool")
         stays = _stays([item for item in segments if item["stream"] == number], own)
         episodes = _episodes(release, number)
         if episodes:

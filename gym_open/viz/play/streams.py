@@ -1,6 +1,7 @@
 """Logs and releases as one thing to look at: streams of spans, a span being uninterrupted steps in one world."""
 
 import math
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -112,7 +113,9 @@ class Stream(msgspec.Struct, frozen=True, eq=False):
         if not isinstance(curriculum, Mapping) or curriculum.get("rule") != "loss":
             return None
         threshold = curriculum.get("threshold")
-        return float(threshold) if isinstance(threshold, int | float) else None
+        if not isinstance(threshold, int | float) or not abs(threshold) <= sys.float_info.max:  # NaN is not, either
+            return None
+        return float(threshold)
 
     def shown_stays(self) -> list[Stay]:
         """Segments that have a step among those to be shown."""

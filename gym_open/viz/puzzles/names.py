@@ -14,6 +14,8 @@ STYLES: tuple[str, ...] = ("-", "--", "-.", ":")
 """Of lines, as matplotlib has them: colour is not all that tells agents apart."""
 _MAX = 40
 """Characters of a name."""
+_MAX_STEPS = 2**53
+"""A policy that says more was not made by gym-open."""
 
 
 def colour(number: int) -> tuple[int, int, int]:
@@ -54,8 +56,8 @@ def _facts(source: Path, record: Scores | None) -> tuple[str, str, str, str]:
     return name, "" if seed is None else f"seed {seed}", _thousands(steps), source.resolve().name
 
 
-def _thousands(steps: int | None) -> str:
+def _thousands(steps: object) -> str:
     """As `502k steps`, the whole number if it is small."""
-    if not steps:
+    if not isinstance(steps, int) or not 0 < steps <= _MAX_STEPS:
         return ""
     return f"{steps / 1000:.0f}k steps" if steps >= 10_000 else f"{steps} steps"
