@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import msgspec
 
 from gym_open import artefacts
-from gym_open.envs.puzzles.sets import Split
+from gym_open.envs.puzzles.sets import PER_SET, Split
 from gym_open.errors import ArtefactError
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ def read_episodes(scores: Path) -> list[dict[str, Any]]:
     """The rows of `episodes.parquet`, as plain data.
 
     Raises:
-        ArtefactError: if it is missing, damaged, or has other columns.
+        ArtefactError: if it is missing, damaged, has other columns, or more rows than a set has puzzles.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -116,6 +116,8 @@ def read_episodes(scores: Path) -> list[dict[str, Any]]:
         raise ArtefactError(f"{path}: missing, so nothing can be replayed; evaluate again") from None
     except (pa.ArrowException, OSError) as error:
         raise ArtefactError(f"{path}: not readable: {error}; evaluate again") from None
+    if table.num_rows > PER_SET:
+        raise ArtefactError(f"{path}: {table.num_rows:,} episodes, but a set has {PER_SET} puzzles; evaluate again")
     if not table.schema.equals(episodes_schema()) or any(_has_nulls(column) for column in table.columns):
         raise ArtefactError(f"{path}: its columns are not those that gym-open writes; evaluate again")
     return table.to_pylist()

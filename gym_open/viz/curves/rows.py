@@ -7,10 +7,10 @@ import numpy as np
 
 from gym_open import seeding
 from gym_open.envs.puzzles import TASKS
-from gym_open.envs.puzzles.sets import PER_SET
+from gym_open.envs.puzzles.sets import PER_SET, locate
 from gym_open.errors import ArtefactError
 from gym_open.formats.statistics import mean_and_deviation, percentiles, two_level_bootstrap
-from gym_open.viz.curves.sources import Report, Scored
+from gym_open.viz.curves.sources import Report, Scored, check_steps, check_values
 
 FIXED = ("random", "oracle", "human")
 """Agents that no training made."""
@@ -29,6 +29,8 @@ class Band(msgspec.Struct, frozen=True):
     def __post_init__(self) -> None:
         if len({len(self.x), len(self.value), len(self.low), len(self.high)}) != 1 or not self.x:
             raise ValueError("as many of `x`, `value`, `low` and `high` expected, and at least one")
+        check_steps(self.x)
+        check_values([*self.value, *self.low, *self.high])
 
 
 class Row(msgspec.Struct, frozen=True):
@@ -70,8 +72,16 @@ def _agent(one: Scored) -> str:
     if one.record.actions == "greedy":
         parts.append("greedy")
     if len(one.puzzles) < PER_SET:
-        parts.append(f"puzzles {one.puzzles[0].rpartition('/')[2]}–{one.puzzles[-1].rpartition('/')[2]}")
+        parts.append(f"puzzles {_ranges([locate(name)[2] for name in one.puzzles])}")
     return ", ".join(parts)
+
+
+def _ranges(numbers: Sequence[int]) -> str:
+    """Rising numbers as `000–004, 007`: two sets of them are never called the same."""
+    begins = [n for n in numbers if n - 1 not in numbers]
+    ends = [n for n in numbers if n + 1 not in numbers]
+    pairs = zip(begins, ends, strict=True)
+    return ", ".join(f"{first:03d}" if first == last else f"{first:03d}–{last:03d}" for first, last in pairs)
 
 
 def _place(key: tuple[str, str]) -> tuple[int, str, int, str]:
@@ -125,6 +135,10 @@ class _Cell(msgspec.Struct, frozen=True):
     deviation: float | None
     learning: Band
     returns: Band
+
+    def __post_init__(self) -> None:
+        check_steps([self.trained])
+        check_values([] if self.deviation is None else [self.deviation])
 
 
 def rows_of_report(report: Report) -> list[Row]:

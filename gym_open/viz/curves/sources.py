@@ -1,7 +1,8 @@
 """Everything below some folders that is a curve, a score, a probe or a report: read, and checked on the way."""
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -9,7 +10,11 @@ import msgspec
 import numpy as np
 
 from gym_open import artefacts, progress
+from gym_open.envs.puzzles import PuzzleError
+from gym_open.envs.puzzles.sets import locate
+from gym_open.envs.tasks import step_budget
 from gym_open.errors import ArtefactError
+from gym_open.formats.episodes import puzzle_of
 from gym_open.formats.scores import EPISODES, RECORD, Scores, read_episodes, read_scores
 from gym_open.viz.words import cell
 
@@ -17,7 +22,30 @@ CURVE, PROBE, REPORT, CONFIG = "curve.json", "probe.json", "table.json", artefac
 _READ = frozenset({CURVE, PROBE, REPORT, CONFIG, artefacts.LINEAGE, RECORD, EPISODES})
 """Files whose bytes are checked: those that are read."""
 _SKIPPED = ("log", "release", "recording", "figure")
+MAX_STEPS = 2**53
+"""Steps beyond this are of no training, and not told apart as floating-point numbers."""
+_MAX_TARGETS, _MAX_PROBES = 24, 120
+"""Drawn of one probe; and drawn of them."""
+_HUGE, _HUGE_SCORE = 1e100, 1e6
+"""What no loss or return, and no score of a probe, can be; it could not be drawn, either."""
 T = TypeVar("T")
+
+
+def check_steps(steps: Sequence[float | None]) -> None:
+    """Raises ValueError unless they can be drawn over: numbers from 0 to `MAX_STEPS`, each greater than the last."""
+    known = [step for step in steps if step is not None]
+    if len(known) < len(steps):
+        raise ValueError("a row has no step")
+    if not all(0 <= step <= MAX_STEPS for step in known):
+        raise ValueError(f"steps from 0 to {MAX_STEPS} expected, got {min(known)} to {max(known)}")
+    if any(after <= before for before, after in pairwise(known)):
+        raise ValueError("each step must be greater than the one before")
+
+
+def check_values(values: Iterable[float], most: float = _HUGE) -> None:
+    """Raises ValueError if a value is not finite, or not less than `most` either way."""
+    if strange := [value for value in values if not abs(value) < most]:
+        raise ValueError(f"numbers within ±{most:g} expected, got {strange[0]!r}")
 
 
 class Curve(msgspec.Struct, frozen=True):
@@ -29,8 +57,10 @@ class Curve(msgspec.Struct, frozen=True):
     def __post_init__(self) -> None:
         if any(len(row) != len(self.columns) for row in self.rows) or not self.columns:
             raise ValueError(f"rows of {len(self.columns)} numbers expected, one for each column")
-        if any(row[0] is None for row in self.rows):
-            raise ValueError(f"column {self.columns[0]!r} lacks a number")
+        if len(set(self.columns)) != len(self.columns):
+            raise ValueError("two columns of one name")
+        check_steps([row[0] for row in self.rows])
+        check_values([value for row in self.rows for value in row[1:] if value is not None])
 
     def known(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         """Where a column has a number: the first column (n,), and its own (n,)."""
@@ -73,6 +103,10 @@ class Score(msgspec.Struct, frozen=True):
     low: float | None = None
     high: float | None = None
 
+    def __post_init__(self) -> None:
+        known = [number for number in (self.value, self.low, self.high) if number is not None]
+        check_values(known, _HUGE_SCORE)
+
 
 class Target(msgspec.Struct, frozen=True):
     """What one probe found of one target."""
@@ -84,6 +118,9 @@ class Target(msgspec.Struct, frozen=True):
     """By kind of features: `trained`, `untrained`, perhaps `pixels`."""
     gain: Score
     """`trained` less `untrained`."""
+
+    def __post_init__(self) -> None:
+        check_values([self.guess], _HUGE_SCORE)
 
 
 class Probed(msgspec.Struct, frozen=True):
@@ -173,11 +210,21 @@ def _take(folder: Path, found: Found) -> None:
         found.scored.append(_scored(folder, facts))
     elif lineage.kind == "probe":
         targets = _decode(folder / PROBE, lambda record: msgspec.convert(record["targets"], dict[str, Target]))
-        found.probed.append(Probed(folder.name, targets))
+        _probed(Probed(folder.name, targets), found)
     elif lineage.kind == "report":
         found.reports.append(
             Report(folder.name, _decode(folder / REPORT, lambda table: msgspec.convert(table, dict[str, Any])))
         )
+
+
+def _probed(probed: Probed, found: Found) -> None:
+    name = cell(probed.name)
+    if len(found.probed) >= _MAX_PROBES:
+        found.left_out.append(f"`{name}`: only {_MAX_PROBES} probes are drawn")
+        return
+    if (more := len(probed.targets) - _MAX_TARGETS) > 0:
+        found.left_out.append(f"`{name}`: {more:,} of its targets, since only {_MAX_TARGETS} are drawn")
+    found.probed.append(Probed(probed.name, dict(islice(probed.targets.items(), _MAX_TARGETS))))
 
 
 def read_curve(folder: Path) -> Curve | None:
@@ -194,14 +241,32 @@ def _curve(folder: Path) -> Curve:
 
 
 def _scored(folder: Path, facts: dict[str, Any]) -> Scored:
-    record, episodes = read_scores(folder), read_episodes(folder)
-    rewards = np.zeros((len(episodes), len(record.mean_return_within)))
+    record = read_scores(folder)
+    episodes = sorted(read_episodes(folder), key=lambda row: row["puzzle"])
+    try:
+        _check_episodes(folder / EPISODES, record, episodes)
+    except (PuzzleError, ValueError) as error:
+        raise ArtefactError(f"{folder}: not scores as gym-open writes them: {error}; evaluate again") from None
+    rewards = np.zeros((len(episodes), step_budget(record.task)))
     for i, row in enumerate(episodes):
-        if len(row["rewards"]) > rewards.shape[1]:
-            raise ArtefactError(f"{folder / EPISODES}: row {i}: more rewards than {RECORD} has actions; evaluate again")
         rewards[i, : len(row["rewards"])] = row["rewards"]
     values, run = np.array([row["a_success"] for row in episodes]), str(facts.get("player") or record.seed or 0)
     return Scored(record, run, values, np.cumsum(rewards, axis=1), tuple(row["puzzle"] for row in episodes))
+
+
+def _check_episodes(file: Path, record: Scores, rows: list[dict[str, Any]]) -> None:
+    """Raises if the rows are not of different puzzles of the record's set, each of which could have been played."""
+    check_steps([record.trained])
+    if len(record.mean_return_within) != (budget := step_budget(record.task)):
+        raise ValueError(f"`mean_return_within`: {budget} numbers expected, got {len(record.mean_return_within)}")
+    ids = [row["puzzle"] for row in rows]
+    if not rows or len(set(ids)) < len(ids):
+        raise ValueError("one episode for each puzzle expected, and at least one")
+    for row in rows:
+        if locate(row["puzzle"])[1] != record.split:
+            raise ValueError(f"puzzle {row['puzzle']} is not of the split {record.split!r}")
+        puzzle_of(file, record, row)
+        check_values([row["a_success"], *row["rewards"]])
 
 
 def _decode(path: Path, convert: Callable[[Any], T]) -> T:
