@@ -6,6 +6,7 @@ import rerun as rr
 
 from gym_open import artefacts
 from gym_open.envs.constants import PITCH
+from gym_open.errors import ArtefactError
 from gym_open.formats.releases import open_release
 from gym_open.formats.releases.reader import Release
 from gym_open.viz.choice import Choice
@@ -33,7 +34,7 @@ def view(config: VizConfig, source: Path, choice: Choice) -> View:
         UsageError: if what was picked is not there, or cannot be picked of it.
     """
     title, streams = open_streams(source, choice)
-    record = artefacts.lineage(source) if (source / artefacts.LINEAGE).is_file() else None
+    record = _lineage(source)
 
     def fill(rec: rr.RecordingStream) -> None:
         told = {"kind": "not an artefact, or not a finished one", "file or folder": source.name}
@@ -62,7 +63,16 @@ def open_streams(source: Path, choice: Choice) -> tuple[str, list[Stream]]:
 
 
 def _is_release(source: Path) -> bool:
-    return (source / artefacts.LINEAGE).is_file() and artefacts.lineage(source).kind == "release"
+    record = _lineage(source)
+    return record is not None and record.kind == "release"
+
+
+def _lineage(source: Path) -> artefacts.Lineage | None:
+    """What an artefact says of itself; None of what is no artefact, or of a log that is damaged there."""
+    try:
+        return artefacts.lineage(source) if (source / artefacts.LINEAGE).is_file() else None
+    except ArtefactError:
+        return None  # a release would have been refused before: see `recording.kind_of`
 
 
 def _facts(stream: Stream) -> dict[str, object]:
