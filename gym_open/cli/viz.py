@@ -53,9 +53,9 @@ class Viz(StageCommand):
     web: bool = False
     """Show it in a browser, served on this machine alone, until Ctrl-C."""
     video: Path | None = None
-    """Write a film, .mp4 or .gif, with the series under the picture."""
+    """Write a film, .mp4 or .gif, with the series under the picture; of several streams the first, or --stream."""
     png: Path | None = None
-    """Write one still picture."""
+    """Write one still picture; of several streams the first, or --stream."""
 
     default = "viz/default.toml"
     needs_workspace = False

@@ -53,9 +53,10 @@ def open_view(config: VizConfig, sources: Sequence[Path], choice: Choice) -> Vie
         from gym_open.viz import curves
 
         return curves.view(config, sources, choice)
+    told = ", ".join(sorted(kinds[source] for source in sources))
     raise UsageError(
-        f"{', '.join(sorted(found))}: not seen together; give one log or release, or scores alone, or models, probes "
-        "and reports, or scores and policies with --puzzle TASK/NUMBER"
+        f"{len(sources)} sources ({told}) are not seen together; give one log or release, or scores alone, or models, "
+        "probes and reports, or scores and policies with --puzzle TASK/NUMBER"
     )
 
 

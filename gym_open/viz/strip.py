@@ -44,7 +44,7 @@ def draw_plot(axes: "Axes", plot: Plot, *, steps: bool = False) -> None:
     Args:
         axes: where.
         plot: what.
-        steps: whether a value holds until the next.
+        steps: whether a value holds until the next, the axis being of steps.
     """
     there = False
     for curve in plot.curves:
@@ -58,6 +58,8 @@ def draw_plot(axes: "Axes", plot: Plot, *, steps: bool = False) -> None:
         axes.axhline(plot.level, color="#D55E00", linestyle="--", linewidth=1.2, label="threshold")
     if not there:
         axes.text(0.5, 0.5, "no data", transform=axes.transAxes, ha="center", va="center", color="#777777")
+    if steps:
+        axes.locator_params(axis="x", integer=True)
     if plot.counted:
         axes.locator_params(axis="y", integer=True)
         axes.margins(y=0.2)

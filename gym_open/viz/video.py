@@ -44,4 +44,4 @@ def write_video(config: VizConfig, sources: Sequence[Path], choice: Choice, out:
         )
     title, streams = open_streams(sources[0], choice)
     play = glance(streams[0], config.film_pictures)
-    return write_film(out, film(printable(title), play, look), FPS)
+    return write_film(out, film(printable(title), play, look, len(streams) - 1), FPS)

@@ -96,9 +96,9 @@ def test_each_kind_has_its_view(
     ("names", "choice", "error", "message"),
     [
         ([], {}, UsageError, "nothing to look at was given; give a log"),
-        (["log", "log"], {}, UsageError, "log: not seen together; give one log or release"),
-        (["log", "scores"], {}, UsageError, "log, scores: not seen together"),
-        (["scores", "policy"], {}, UsageError, "policy, scores: not seen together.*--puzzle"),
+        (["log", "log"], {}, UsageError, r"2 sources \(log, log\) are not seen together; give one log or release"),
+        (["log", "scores"], {}, UsageError, r"2 sources \(log, scores\) are not seen together"),
+        (["scores", "policy"], {}, UsageError, "are not seen together.*--puzzle"),
         (["encoder"], {"puzzle": "tool-use/017"}, UsageError, "--puzzle shows scores and policies; .*'encoder'"),
         (["other"], {}, ArtefactError, "nothing to draw in an artefact of kind 'other'; give a log"),
         (["recording"], {}, ArtefactError, r"a picture already: rerun .*recording/seen\.rrd"),

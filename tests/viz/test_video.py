@@ -39,8 +39,8 @@ def test_a_film_of_play_shows_each_step_and_the_last_observation(log: Path, tmp_
     segments = list(open_log(log_files(log)[0]).segments())
     images = np.concatenate([*[segment.images[:-1] for segment in segments], segments[-1].images[-1:]])
     assert len(frames) == len(images) == 25
-    seen = frames[:, :252, 488:740]  # beside the large picture
-    seen = seen.reshape(25, 84, 3, 84, 3, 3).mean(axis=(2, 4))  # coding loses colour, not which picture it is
+    middle = ((np.arange(84) + 0.5) * 480 / 84).astype(int)  # of each pixel; the observation is shown once, large
+    seen = frames[:, middle][:, :, middle].astype(float)  # coding loses colour, not which picture it is
     apart = np.abs(seen[:, None] - images[None]).mean(axis=(2, 3, 4))
     assert apart.argmin(axis=1).tolist() == list(range(25))
     assert list(out.parent.iterdir()) == [out]
@@ -57,7 +57,9 @@ def test_a_glance_is_thinned_and_holds_means(log: Path) -> None:
     assert play.moments[-1].coverage.sum() == 24
     assert play.moments[1].action == segments[1].actions[0]
     assert play.moments[-1].action is None
-    assert [plot.level for plot in play.plots()] == [None, 0.25, None]
+    assert [plot.level for plot in play.plots()] == [None, 0.25, None, None]
+    for curve in play.plots()[0].curves:
+        assert (curve.x[-1], curve.y[-1]) == (24, rewards[-1])  # a step is as wide as the others
 
 
 def test_part_of_play_is_shown(log: Path) -> None:

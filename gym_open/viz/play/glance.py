@@ -48,7 +48,7 @@ class Glance(msgspec.Struct, frozen=True, eq=False):
     """(bins,) the first step of each."""
 
     def plots(self) -> list[Plot]:
-        """Reward and loss, as far as they are known, and which world the stream is in."""
+        """Reward and loss, which world the stream is in, entropy and value: what is known of them."""
         width = len(self.stream.steps) / len(self.at)
         mean = f", means of {width:.0f} steps" if width >= 2 else ""
         found = list[Plot]()
@@ -62,15 +62,10 @@ class Glance(msgspec.Struct, frozen=True, eq=False):
             np.array([stay.world for stay in stays for _ in range(2)]),
             _GREY,
         )
-        return [*found, Plot(f"world of the pool, {len(stays)} segment{'s' * (len(stays) != 1)}", [lane], counted=True)]
-
-    def policy_plot(self) -> Plot | None:
-        """Entropy and value, if they are known."""
-        names = {ENTROPY: ("entropy (nats)", _BLUE, "-"), VALUE: ("value", _ORANGE, "--")}
-        known = [
-            self._curve(name, hue, label, line) for name, (label, hue, line) in names.items() if name in self.series
-        ]
-        return Plot("policy", known) if known else None
+        found.append(Plot(f"world of the pool, {len(stays)} segment{'s' * (len(stays) != 1)}", [lane], counted=True))
+        names = {ENTROPY: (_BLUE, "entropy (nats)", "-"), VALUE: (_ORANGE, "value", "--")}
+        known = [self._curve(name, *names[name]) for name in names if name in self.series]
+        return [*found, Plot(f"policy{mean}", known)] if known else found
 
     def _curve(self, name: str, colour: str, label: str = "", style: str = "-") -> Curve:
         """A series whose last value holds until the end of the last step, as each holds until the next."""
@@ -124,6 +119,11 @@ def glance(stream: Stream, limit: int) -> Glance:
             bar.advance(len(number))
     at = steps.start + np.arange(means.bins) * total / means.bins
     return Glance(stream, every, moments, means.means(), at)
+
+
+def others_named(others: int) -> str:
+    """Words for the streams of the source that are not shown, and how to see them; none if there are none."""
+    return f"{others} other stream{'s' * (others != 1)}: --stream" if others else ""
 
 
 def _moments(span: Span, shown: np.ndarray, coverage: Coverage) -> list[Moment]:

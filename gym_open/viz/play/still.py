@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gym_open.envs.constants import CELL_0, COLUMNS, CONTROL_DT_S, PITCH, ROWS
-from gym_open.viz.play.glance import Glance, glance
+from gym_open.viz.play.glance import Glance, glance, others_named
 from gym_open.viz.play.streams import Stream
 from gym_open.viz.strip import draw_plot
 
@@ -25,7 +25,7 @@ def play_page(title: str, streams: Sequence[Stream]) -> tuple[float, float, "Cal
         streams: of which the others are only named.
     """
     play = glance(streams[0], _PICTURES)
-    plots = [*play.plots(), *([policy] if (policy := play.policy_plot()) else [])]
+    plots = play.plots()
 
     def paint(figure: "Figure") -> None:
         heights = [2, 1.45 * len(plots) + 0.3]
@@ -47,7 +47,7 @@ def _heading(title: str, play: Glance, streams: Sequence[Stream]) -> str:
     steps, others = play.stream.steps, len(streams) - 1
     words = f"{title}, stream {play.stream.number}: steps {steps.start:,} to {steps.stop - 1:,}"
     words += f", {len(steps) * CONTROL_DT_S:,.1f} s" if not play.stream.damage else ", then damaged"
-    return words + (f" ({others} other stream{'s' * (others != 1)}: --stream)" if others else "")
+    return words + (f" ({others_named(others)})" if others else "")
 
 
 def _pictures(figure: "SubFigure", play: Glance) -> None:

@@ -160,6 +160,11 @@ def chosen(streams: Iterable[Stream], choice: Choice, source: Path) -> list[Stre
     held = "; ".join(
         f"stream {stream.number}: steps {stream.steps.start}:{stream.steps.stop}, segments "
         f"{_listed([stay.number for stay in stream.stays])}"
+        + "".join(
+            f", of which {stay.number} is steps {stay.steps.start}:{stay.steps.stop}"
+            for stay in stream.stays
+            if stay.number == choice.segment
+        )
         for stream in picked
     )
     raise UsageError(f"{source}: nothing in it is what --segment and --steps pick; it holds {held}")

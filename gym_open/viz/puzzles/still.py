@@ -92,8 +92,8 @@ def _opinion_plot(episodes: Sequence[Episode], judges: list[int], name: str) -> 
         values = opinion.values if name == "value" else opinion.entropy
         curves.append(
             Curve(
-                np.arange(len(values) + 1), np.append(values, values[-1]), COLOURS[number % len(COLOURS)], episodes[number].name,
-                STYLES[number % len(STYLES)],
+                np.arange(len(values) + 1), np.append(values, values[-1]), COLOURS[number % len(COLOURS)],
+                episodes[number].name, STYLES[number % len(STYLES)],
             )
         )  # fmt: skip
     return Plot(
