@@ -87,11 +87,11 @@ def web(view: View) -> None:
         ArtefactError: if the source is missing or damaged.
         GymOpenError: if Rerun's program does not start.
     """
-    inner = _free_port(0)
+    inner = free_port(0)
     with (
         interruptible(),
         _Program("--serve-web", "--web-viewer-port", str(inner)) as program,
-        Page(_free_port(WEB_PORT), inner, program.port) as page,
+        Page(free_port(WEB_PORT), inner, program.port) as page,
     ):
         here = f"{LOOPBACK}:{page.port}"
         forward = " ".join(f"-L {port}:{LOOPBACK}:{port}" for port in (page.port, program.port))
@@ -136,7 +136,7 @@ class _Program:
     """Rerun's program, listening for data on loopback; it ends when this is left."""
 
     def __init__(self, *options: str) -> None:
-        self.port = _free_port(DATA_PORT)
+        self.port = free_port(DATA_PORT)
         self._home = tempfile.TemporaryDirectory(prefix="gym-open-rerun-")
         self._said = Path(self._home.name, "said.txt")
         words = [str(_PROGRAM), "--bind", LOOPBACK, "--port", str(self.port), *options]
@@ -239,7 +239,7 @@ def _silent(home: Path) -> dict[str, str]:
     return environment
 
 
-def _free_port(wanted: int) -> int:
+def free_port(wanted: int) -> int:
     """The wanted port of loopback if it is free, else one that is."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

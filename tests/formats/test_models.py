@@ -1,5 +1,6 @@
 """Encoders and policies on disk, and what happens when they are not what they say."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -123,3 +124,13 @@ def test_a_log_of_random_play_has_no_encoder(tmp_path: Path) -> None:
     other = artefacts.build(tmp_path / "toy", kind="toy", config=Config(), parents=(), work=lambda _: {}).path
     with pytest.raises(ArtefactError, match=r"model\.json: missing, so there is no model here"):
         load_encoder(other)
+
+
+def test_a_network_too_wide_is_refused_before_it_is_made(tmp_path: Path) -> None:
+    save_encoder(tmp_path, encoder())
+    path = tmp_path / "model.json"
+    said = json.loads(path.read_bytes())
+    said["encoder"]["features"] = 10**9
+    path.write_text(json.dumps(said))
+    with pytest.raises(ArtefactError, match=r"model\.json: not an encoder .*<= 16384"):
+        load_encoder(tmp_path)

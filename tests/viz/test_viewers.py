@@ -2,6 +2,7 @@
 
 import importlib.util
 import io
+import os
 import re
 import resource
 import signal
@@ -22,6 +23,7 @@ from PIL import Image
 
 from gym_open.errors import ArtefactError, GymOpenError, UsageError
 from gym_open.viz import viewers
+from gym_open.viz.film import write_whole
 from gym_open.viz.view import View
 
 ROOT = Path(__file__).parents[2]
@@ -69,6 +71,32 @@ def test_a_view_that_fails_leaves_what_was_there(tmp_path: Path) -> None:
         with pytest.raises(ArtefactError, match="is damaged"):
             viewers.save(broken(ArtefactError("it is damaged")), tmp_path / name)
     assert [(item.name, item.read_text()) for item in tmp_path.iterdir()] == [("old.rrd", "old")]
+
+
+def test_whoever_is_told_to_end_leaves_nothing(tmp_path: Path) -> None:
+    hidden: list[str] = []
+
+    def fill(rec: rr.RecordingStream) -> None:
+        rec.log("wave", rr.Scalars(1.0), static=True)
+        hidden.extend(item.name for item in tmp_path.iterdir())
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    with pytest.raises(KeyboardInterrupt):
+        viewers.save(wave()._replace(fill=fill), tmp_path / "wave.rrd")
+    assert hidden == [f".wave.rrd.{os.getpid()}.tmp"]  # another process writes another file
+    assert list(tmp_path.iterdir()) == []
+    assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+
+
+def test_nothing_is_written_into_an_artefact(tmp_path: Path) -> None:
+    for name in ("manifest.json", "lineage.json"):
+        (tmp_path / name).touch()
+    before = sorted(tmp_path.iterdir())
+    with pytest.raises(UsageError, match=r"in the artefact .*whose files are fixed"):
+        viewers.save(wave(), tmp_path / "deep" / "wave.rrd")
+    with pytest.raises(UsageError, match="in the artefact"):
+        write_whole(tmp_path / "wave.png", Path.touch)
+    assert sorted(tmp_path.iterdir()) == before
 
 
 def test_a_full_disk_is_told_and_leaves_nothing(tmp_path: Path) -> None:

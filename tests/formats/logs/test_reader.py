@@ -291,6 +291,7 @@ def flawed(made: list[Record], flaw: Flaw) -> list[Record]:
         ),
         ((StepRecord, 2, {"step": 7}), "the steps of segment 0 are not complete and in order"),
         ((StepRecord, 2, {"segment": 1}), "got step 2 of segment 1"),
+        ((Switch, 1, {"world_losses": [0.5]}), "switch at step 4: 1 losses for a pool of 3 worlds"),
         ((StepRecord, 2, {"action": 9}), "step 2 has the action 9, expected 0 to 8"),
     ],
 )

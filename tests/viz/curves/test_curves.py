@@ -154,7 +154,12 @@ def test_there_must_be_something_to_draw(tmp_path: Path, benchmark: Path, make_l
 
 @pytest.mark.parametrize(
     "record", [{"columns": ["update", "loss"], "rows": [[1]]}, {"columns": [], "rows": []},
-               {"columns": ["update", "loss"], "rows": [[None, 1]]}, {"rows": []}, []],
+               {"columns": ["update", "loss"], "rows": [[None, 1]]}, {"rows": []}, [],
+               *({"columns": ["update", "loss"], "rows": rows} for rows in (
+                   [[1e300, 1]], [[2**70, 1]], [[10**400, 1]], [[-1, 1]], [[1, 1], [1, 2]], [[2, 1], [1, 2]],
+                   [[1, 1e300]],
+               )),
+               {"columns": ["update", "loss", "loss"], "rows": [[1, 2, 3]]}],
 )  # fmt: skip
 def test_a_curve_that_is_none_is_named(tmp_path: Path, record: Any) -> None:
     from gym_open.viz.curves.sources import read_curve

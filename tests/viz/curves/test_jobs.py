@@ -54,3 +54,15 @@ def test_states_are_told_apart(write: Write) -> None:
 
 def test_a_folder_without_jobs_has_none(tmp_path: Path) -> None:
     assert jobs_of(tmp_path) == []
+
+
+def test_only_files_that_have_an_end_are_read(write: Write) -> None:
+    root = write("jobs/policy-a-seed0.toml", "").parents[1]
+    for name in ("policy-b-seed0", "policy-c-seed0"):
+        write(f"jobs/{name}.toml", "")
+    (root / "jobs/policy-a-seed0.progress").symlink_to("/dev/zero")
+    (root / "jobs/policy-a-seed0.log").symlink_to("/dev/zero")
+    os.mkfifo(root / "jobs/policy-b-seed0.progress")
+    os.mkfifo(root / "jobs/policy-b-seed0.log")
+    write("jobs/policy-c-seed0.progress", 5_000 * " " + '{"done": 1, "total": 2, "rate": 1.0}')
+    assert {job.state for job in jobs_of(root)} == {"not begun"}

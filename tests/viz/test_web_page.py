@@ -1,0 +1,65 @@
+"""The page's own server: it answers what is asked of this machine, and outlives whoever hangs up."""
+
+import http.client
+import http.server
+import socket
+import struct
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import closing
+
+import pytest
+
+from gym_open.viz.viewers import free_port
+from gym_open.viz.web_page import LOOPBACK, Page
+
+
+class Inner(http.server.BaseHTTPRequestHandler):
+    """Stands for Rerun's own server."""
+
+    def do_GET(self) -> None:
+        self.send_response(200)
+        self.send_header("Content-Type", "text/plain")
+        self.end_headers()
+        self.wfile.write(b"inner" * 1_000_000)
+
+    def log_message(self, format: str, *args: object) -> None:  # noqa: A002
+        del format, args
+
+
+@pytest.fixture
+def page() -> Iterator[Page]:
+    with http.server.ThreadingHTTPServer((LOOPBACK, 0), Inner) as inner:
+        threading.Thread(target=inner.serve_forever, args=(0.05,), daemon=True).start()
+        with Page(free_port(0), inner.server_address[1], 1) as served:
+            yield served
+        inner.shutdown()
+
+
+def status(page: Page, host: str | None = None) -> int:
+    with closing(http.client.HTTPConnection(LOOPBACK, page.port, timeout=10)) as connection:
+        connection.request("GET", "/favicon.svg", headers={"Host": host} if host else {})
+        return connection.getresponse().status
+
+
+def test_another_machines_name_is_refused_and_a_proxy_not_asked(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("http_proxy", f"http://{LOOPBACK}:9")
+    assert [status(page, host) for host in (None, "localhost:8000", "localhost")] == [200] * 3
+    assert [status(page, host) for host in ("evil.example", "evil.example:9090", "127.0.0.1.evil.example:1")] == [
+        403
+    ] * 3
+
+
+def test_a_tab_that_closes_is_no_error(page: Page, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_connection((LOOPBACK, page.port)) as browser:
+        browser.sendall(b"GET /favicon.svg HTTP/1.0\r\nHost: localhost\r\n\r\n")
+        browser.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # cuts the connection
+    time.sleep(0.2)
+    assert status(page) == 200
+    assert capsys.readouterr().err == ""
+
+
+def test_when_the_viewer_is_gone_the_page_says_so() -> None:
+    with Page(free_port(0), free_port(0), 1) as page:
+        assert status(page) == 502
