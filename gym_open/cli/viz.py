@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import tyro
 
@@ -14,6 +14,11 @@ from gym_open.viz.config import VizConfig
 
 if TYPE_CHECKING:
     from gym_open.viz.choice import Choice
+
+T = TypeVar("T")
+_NO_DEFAULT = tyro.conf.arg(help_behavior_hint="")
+Perhaps = Annotated[T | None, tyro.conf.DisallowNone, _NO_DEFAULT]
+"""An option that is left out or given, of whose default nothing is said."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,29 +37,29 @@ class Viz(StageCommand):
         gym-open viz collect/logs/icm --segment 2 --video play.mp4
     """
 
-    sources: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    sources: Annotated[tuple[Path, ...], tyro.conf.Positional, _NO_DEFAULT]
     """What to look at: a folder of logs or one .mcap file, a release, an encoder, policies or scores (several stand
     side by side), a benchmark's folder, a report."""
     settings: Settings[VizConfig]
-    puzzle: str | None = None
+    puzzle: Perhaps[str] = None
     """Of scores or policies: the puzzle to see played, such as tool-use/017, the solution beside it."""
-    episode: int | None = None
+    episode: Perhaps[int] = None
     """Of a release: this episode alone."""
-    segment: int | None = None
+    segment: Perhaps[int] = None
     """Of a log or release: this segment of a stream alone."""
-    steps: str | None = None
+    steps: Perhaps[str] = None
     """Of a log or release: these steps of its streams alone, A:B, B excluded."""
-    stream: int | None = None
+    stream: Perhaps[int] = None
     """Of a log or release: this stream alone."""
-    release: Path | None = None
+    release: Perhaps[Path] = None
     """Of an encoder: the release whose pictures it is shown; its own random play by default."""
-    save: Path | None = None
+    save: Perhaps[Path] = None
     """Write the recording to this .rrd file."""
     web: bool = False
     """Show it in a browser, served on this machine alone, until Ctrl-C."""
-    video: Path | None = None
+    video: Perhaps[Path] = None
     """Write a film, .mp4 or .gif, with the series under the picture; of several streams the first, or --stream."""
-    png: Path | None = None
+    png: Perhaps[Path] = None
     """Write one still picture; of several streams the first, or --stream."""
 
     default = "viz/default.toml"

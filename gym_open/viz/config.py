@@ -17,7 +17,7 @@ class VizConfig(Config, frozen=True):
     max_images: PositiveInt = 2_000
     """Limit of pictures a stream, and of maps of coverage (about 1 to 3 kB each; with depth and segmentation 40 kB)."""
     max_poses: PositiveInt = 20_000
-    """Limit of steps a stream at which objects, contacts, trail and action are shown (about 0.8 kB each)."""
+    """Limit of steps a stream at which objects, contacts, trail and action are shown (about 1 kB each)."""
     max_points: PositiveInt = 50_000
     """Limit of points a stream of each series: reward, loss and all else that is drawn as a curve."""
     trail_steps: PositiveInt = 200

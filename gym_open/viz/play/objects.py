@@ -21,7 +21,7 @@ PARKED_Y = -15.0
 """An object beyond this y is not on the table: the model parks unused ones 30 m behind the camera."""
 MOVE_M = 0.12
 """Length of the arrow of a move along one axis."""
-_TRAIL_POINTS = 20
+_TRAIL_POINTS = 50
 """Of a trail, about: it is written anew for every step that is shown."""
 M_PER_NS = 0.006
 """Length of a contact's arrow for one newton second: a push from rest, 25 N s, is shown as 15 cm."""
@@ -29,7 +29,7 @@ M_PER_NS = 0.006
 
 def log_styles(rec: rr.RecordingStream, entity: str) -> None:
     """Log how trail, moves and contacts look under `entity`, the table's."""
-    rec.log(f"{entity}/trail", rr.LineStrips3D.from_fields(radii=0.008, colors=c.COLOUR["agent"]), static=True)
+    rec.log(f"{entity}/trail", rr.LineStrips3D.from_fields(radii=0.006, colors=c.COLOUR["agent"]), static=True)
     rec.log(f"{entity}/move", rr.Arrows3D.from_fields(radii=0.012, colors=(255, 255, 255)), static=True)
     rec.log(f"{entity}/contacts", rr.Arrows3D.from_fields(radii=0.01, show_labels=False), static=True)
 

@@ -65,11 +65,12 @@ def _coverage(figure: "SubFigure", play: Glance) -> None:
     from matplotlib.ticker import NullFormatter
 
     counts = play.moments[-1].coverage.astype(float)
+    most = max(counts.max(), 2)
     axes = figure.subplots()
     half = PITCH / 2
     right, bottom = CELL_0[0] + (COLUMNS - 1) * PITCH, CELL_0[1] - (ROWS - 1) * PITCH
     image = axes.imshow(
-        np.ma.masked_equal(counts, 0), norm=LogNorm(1, max(counts.max(), 2)), cmap="viridis",
+        np.ma.masked_equal(counts, 0), norm=LogNorm(1, most), cmap="viridis",
         extent=(CELL_0[0] - half, right + half, bottom - half, CELL_0[1] + half),
     )  # fmt: skip
     axes.set_facecolor("#dddddd")
@@ -77,7 +78,8 @@ def _coverage(figure: "SubFigure", play: Glance) -> None:
     axes.set_xlabel("x (m)", fontsize=8)
     axes.set_ylabel("y (m)", fontsize=8)
     axes.tick_params(labelsize=8)
-    bar = figure.colorbar(image, ax=axes, orientation="horizontal", shrink=0.6, format="{x:,.0f}")
+    ticks = [1, most] if most < 10 else None  # of which there would be one
+    bar = figure.colorbar(image, ax=axes, orientation="horizontal", shrink=0.6, format="{x:,.0f}", ticks=ticks)
     bar.ax.xaxis.set_minor_formatter(NullFormatter())  # else few counts get labels that want formulas
     bar.ax.tick_params(labelsize=8)
     bar.set_label("steps (grey: never there)", fontsize=8)
