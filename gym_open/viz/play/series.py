@@ -69,7 +69,8 @@ def log_curriculum(rec: rr.RecordingStream, stream: Stream) -> None:
         rec.send_columns(f"{name}/switches/{reason}", at, rr.Scalars.columns(scalars=worlds))
     if stream.threshold is not None:
         line = rr.Scalars.columns(scalars=[stream.threshold] * 2)
-        rec.log(f"{name}/threshold", rr.SeriesLines(names="threshold: learned", colors=VERMILION), static=True)
+        style = rr.SeriesLines(names="threshold: learned", colors=VERMILION, widths=3)  # at a plot's edge half is seen
+        rec.log(f"{name}/threshold", style, static=True)
         rec.send_columns(f"{name}/threshold", times([stream.steps.start, stream.steps.stop]), line)
     _log_world_losses(rec, stream)
 
@@ -103,7 +104,13 @@ def _log_world_losses(rec: rr.RecordingStream, stream: Stream) -> None:
     rec.send_columns(f"{stream.name}/world_losses", at, tensors(bars))
     worlds = losses.shape[1]
     colours = [(BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILION, YELLOW)[world % 7] for world in range(worlds)]
-    lines = rr.SeriesLines(names=[f"world {world}" for world in range(worlds)], colors=colours)
-    rec.log(f"{stream.name}/world_loss", lines, static=True)
+    names = [f"world {world}" for world in range(worlds)]
+    alone = len(switches) == 1  # of which a line shows nothing
+    style = (
+        rr.SeriesPoints(names=names, colors=colours, marker_sizes=4)
+        if alone
+        else rr.SeriesLines(names=names, colors=colours)
+    )
+    rec.log(f"{stream.name}/world_loss", style, static=True)
     values = rr.Scalars.columns(scalars=losses.ravel()).partition([worlds] * len(switches))
     rec.send_columns(f"{stream.name}/world_loss", at, values)
