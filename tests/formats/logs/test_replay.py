@@ -111,7 +111,7 @@ def test_a_task_is_replayed_with_the_colours_of_its_hits(tmp_path: Path) -> None
     """Goals change colour in a task and not in the sandbox: the pictures tell."""
     puzzle = puzzle_by_id("goal-seeking/000")
     records = played(puzzle, list(witness_of("goal-seeking/000").actions), hits=True)
-    records[-1] = msgspec.structs.replace(records[-1], to_world=-1, reason="terminated")
+    records[-1] = msgspec.structs.replace(records[-1], to_world=-1, reason="terminated", world_losses=[0.0])
     folder = write(tmp_path, [Switch(0, -1, 0, "start", [np.inf]), *records], head(puzzle))
     assert {window.verdict for window in windows(folder)} == {"identical"}
 
