@@ -214,3 +214,14 @@ def test_a_missing_input_ends_with_1_and_leaves_nothing(
     assert main([*words, "--workspace", str(root)]) == 1
     assert said in " ".join(capsys.readouterr().err.split())
     assert not list(root.glob("*/*/*"))
+
+
+def test_who_is_stopped_is_not_promised_a_checkpoint_that_viz_has_not(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def stop(_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(COMMANDS["viz"], "run", stop)
+    assert main(["viz", "log"]) == 130
+    assert capsys.readouterr().err == "stopped\n"
