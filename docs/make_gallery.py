@@ -66,7 +66,7 @@ CONFIGURATIONS = {
     """,
 }
 LOG, RELEASE = "collect/logs/gallery-seed0", "datasets/open/gallery-seed0/1.0.0"
-DAMAGED = "stream-000-000.mcap"
+DAMAGED = "damaged/stream-000-000.mcap"
 ENCODER = "train/encoders/gallery-encoder-of-gallery-seed0"
 SCORES = ["evaluate/scores/state-goal-seeking-seed0", "evaluate/scores/icm-goal-seeking-seed0"]
 REFERENCES = ["evaluate/scores/random-goal-seeking", "evaluate/scores/oracle-goal-seeking"]
@@ -134,8 +134,10 @@ def make_run(root: Path) -> Path:
             (root / name).write_text(text)
     if not (root / "run" / "report").exists():
         gym_open("benchmark", "gallery.toml", "--out", "run", folder=root)
-    whole = (root / "run" / LOG / DAMAGED).read_bytes()
-    (root / "run" / DAMAGED).write_bytes(whole[: len(whole) * 2 // 3])
+    damaged = root / "run" / DAMAGED
+    whole = (root / "run" / LOG / damaged.name).read_bytes()
+    damaged.parent.mkdir(exist_ok=True)
+    damaged.write_bytes(whole[: len(whole) * 2 // 3])
     return root / "run"
 
 
