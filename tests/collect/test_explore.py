@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from gym_open import artefacts
-from gym_open.collect import stuck
 from gym_open.collect.config import CollectConfig
 from gym_open.collect.explore import collect
 from gym_open.collect.tally import STUCK
@@ -21,6 +20,7 @@ from gym_open.envs.options import WorldOptions
 from gym_open.envs.physics.model import build_model
 from gym_open.envs.world import World
 from gym_open.errors import ConfigError, DivergedError
+from gym_open.formats import stuck
 from gym_open.formats.logs import Log, Segment, log_files, open_log
 from gym_open.formats.models import load_encoder
 
