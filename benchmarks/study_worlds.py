@@ -6,7 +6,7 @@
 The paper's network is told, in pictures of random play, which cell of the table each agent, goal and cube is in. The
 same number of pictures comes from few worlds or from many. In new worlds it must name the cells: of the n objects of a
 kind, how many lie in the n cells that it holds most likely. No world model is involved: this is what the pictures, not
-the objective, allow. Three minutes a row on one core.
+the objective, allow.
 """
 
 import argparse

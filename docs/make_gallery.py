@@ -1,6 +1,6 @@
 """Makes the pictures of gallery.md: a small run of everything, and what `gym-open viz` shows of it.
 
-    python docs/make_gallery.py                 about a quarter of an hour on two cores
+    python docs/make_gallery.py
     python docs/make_gallery.py --run DIR       keeps the run there, or takes the one that is there
 
 Rerun's views are photographed in headless Chromium. Without one, films and stills are made, and it is said what is not.
