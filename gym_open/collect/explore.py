@@ -27,6 +27,7 @@ from gym_open.config import to_dict
 from gym_open.envs.constants import IMAGE_SIZE, N_ACTIONS
 from gym_open.envs.physics.model import model_xml
 from gym_open.errors import ConfigError, DivergedError
+from gym_open.files import write_atomically
 from gym_open.formats.logs import LogHead, LogWriter, Switch
 from gym_open.formats.logs.resume import resume_writer
 from gym_open.formats.logs.schemas import Ended
@@ -142,8 +143,8 @@ class Exploration:
     def finish(self) -> None:
         """Write the summary, and what the encoder has become."""
         summary = summarise(self.config, self.record, self.pool.puzzles, self.pool.tallies)
-        artefacts.write_atomically(self.folder / "summary.json", artefacts.canonical_json(summary))
-        artefacts.write_atomically(self.folder / "summary.png", draw_summary(summary, self.config.curriculum))
+        write_atomically(self.folder / "summary.json", artefacts.canonical_json(summary))
+        write_atomically(self.folder / "summary.png", draw_summary(summary, self.config.curriculum))
         if self.explorer.encoder is not None:
             save_encoder(self.folder / "encoder", self.explorer.encoder)
 

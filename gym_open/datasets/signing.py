@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from gym_open import artefacts
 from gym_open.artefacts import MAX_SIGNATURE_BYTES, SIGNATURE
 from gym_open.errors import ArtefactError, GymOpenError, UsageError
+from gym_open.files import write_atomically
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePublicKey
@@ -47,7 +48,7 @@ def sign_release(root: Path, key: Path) -> Path:
             return root / SIGNATURE
         config = signing.signing.Config().use_elliptic_key_signer(private_key=key)
         config.set_hashing_config(hashing).sign(root.resolve(), bundle)
-        artefacts.write_atomically(root / SIGNATURE, bundle.read_bytes())
+        write_atomically(root / SIGNATURE, bundle.read_bytes())
     return root / SIGNATURE
 
 

@@ -26,6 +26,7 @@ from gym_open.errors import ArtefactError, ConfigError, GymOpenError
 from gym_open.evaluate import scores
 from gym_open.evaluate.proof import human_proof
 from gym_open.evaluate.scores import Episodes
+from gym_open.files import write_atomically
 from gym_open.formats.logs import LogHead, LogWriter, SegmentStart, StepRecord, Switch, log_name
 from gym_open.formats.scores import Scores
 from gym_open.hardware import hardware
@@ -111,9 +112,7 @@ def _work(config: HumanConfig, folder: Path) -> Mapping[str, Any]:
     record = folder / artefacts.SCRATCH / "played.json"
     rounds = msgspec.json.decode(record.read_bytes(), type=list[Round]) if record.is_file() else [Round() for _ in ids]
     if not all(one.over for one in rounds):
-        play_rounds(
-            config, ids, puzzles, rounds, lambda: artefacts.write_atomically(record, msgspec.json.encode(rounds))
-        )
+        play_rounds(config, ids, puzzles, rounds, lambda: write_atomically(record, msgspec.json.encode(rounds)))
     write_log(folder, config, puzzles, rounds)
     write_scores(folder, config, ids, puzzles, rounds)
     return {

@@ -9,8 +9,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from gym_open.artefacts import write_atomically
 from gym_open.errors import ArtefactError
+from gym_open.files import write_atomically
 
 _META = "gym_open"
 """The one key of the header's metadata: with several, safetensors would not write them in a fixed order."""

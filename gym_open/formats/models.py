@@ -11,8 +11,9 @@ from torch import Tensor, nn
 from gym_open.agents.config import EncoderConfig, Width
 from gym_open.agents.encoder import Encoder
 from gym_open.agents.policy import ActorCritic, make_encoder
-from gym_open.artefacts import canonical_json, lineage, write_atomically
+from gym_open.artefacts import canonical_json, lineage
 from gym_open.errors import ArtefactError
+from gym_open.files import write_atomically
 from gym_open.formats.checkpoints import load_checkpoint, save_checkpoint
 
 WEIGHTS, ARCHITECTURE = "model.safetensors", "model.json"

@@ -4,7 +4,8 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from gym_open.artefacts import canonical_json, write_atomically
+from gym_open.artefacts import canonical_json
+from gym_open.files import write_atomically
 
 CURVE = "curve.json"
 

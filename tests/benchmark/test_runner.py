@@ -35,6 +35,17 @@ if not (out / "manifest.json").exists():
     out.mkdir(parents=True)
     (out / "manifest.json").write_text(f"{begun} {time.monotonic_ns()}")
 """
+MEET = f"""
+import pathlib, sys, time
+here = pathlib.Path(sys.argv[1])
+(here.parent / f"{{here.name}}.begun").touch()
+until = time.monotonic() + 60
+while len(list(here.parent.glob("*.begun"))) < 2:
+    if time.monotonic() > until:
+        sys.exit("alone")
+    time.sleep(0.01)
+{MAKE}
+"""
 FAIL = "import sys; print('so far so good'); print('error: \\x1b[31mno such thing', file=sys.stderr); sys.exit(1)"
 BOX = """
 import sys
@@ -89,16 +100,13 @@ def times(root: Path, name: str) -> tuple[int, int]:
 
 
 def test_a_job_waits_for_what_it_needs_and_others_do_not(tmp_path: Path) -> None:
-    first = job(tmp_path, "first", seconds=0.3)
-    beside = job(tmp_path, "beside", seconds=0.3)
+    first, beside = (
+        job(tmp_path, name, script=MEET) for name in ("first", "beside")
+    )  # each ends only beside the other
     second = job(tmp_path, "second", first, beside)
     made, said = run(tmp_path, [first, beside, second])
     assert set(states(made).values()) == {"made"}
-    begun = {name: times(tmp_path, name)[0] for name in states(made)}
-    ended = {name: times(tmp_path, name)[1] for name in states(made)}
-    assert begun["second"] > max(ended["first"], ended["beside"])
-    assert begun["beside"] < ended["first"]  # side by side
-    assert begun["first"] < ended["beside"]
+    assert times(tmp_path, "second")[0] > max(times(tmp_path, "first")[1], times(tmp_path, "beside")[1])
     assert [line for line in said.splitlines() if "made" in line][-1].startswith("second: made (")
 
 

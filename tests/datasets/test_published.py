@@ -10,6 +10,7 @@ import pytest
 
 from gym_open import artefacts
 from gym_open.cli import main
+from gym_open.files import sha256_file
 from gym_open.formats.releases.content import payload_digest
 from gym_open.formats.releases.layout import RECORDS, belongs
 from gym_open.workspace import template
@@ -40,7 +41,7 @@ def test_what_is_kept_of_it_is_what_its_manifest_lists(root: Path) -> None:
     } - {artefacts.MANIFEST}
     for name in kept:
         assert belongs(name)
-        assert artefacts.sha256_file(root / name) == entries[name].sha256
+        assert sha256_file(root / name) == entries[name].sha256
     digests = msgspec.json.decode((root / "meta/digests.json").read_bytes())
     row = next(line for line in (PUBLISHED / "README.md").read_text().splitlines() if payload_digest(entries) in line)
     assert digests["release"] in row

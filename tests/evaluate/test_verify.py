@@ -21,6 +21,7 @@ from gym_open.evaluate.config import EvaluateConfig
 from gym_open.evaluate.human import HumanConfig, Round, write_scores
 from gym_open.evaluate.play import evaluate
 from gym_open.evaluate.verify import verify_scores
+from gym_open.files import sha256_file
 from gym_open.formats.scores import EPISODES, RECORD
 from gym_open.train.config import PolicyTrainConfig
 from gym_open.train.policy import train_policy
@@ -86,7 +87,7 @@ def forged(scores: Path, out: Path, record: Mapping[str, Any] | None = None, epi
 
 def reseal(folder: Path) -> Path:
     entries = {
-        path.name: artefacts.Entry(sha256=artefacts.sha256_file(path), bytes=path.stat().st_size)
+        path.name: artefacts.Entry(sha256=sha256_file(path), bytes=path.stat().st_size)
         for path in folder.iterdir()
         if path.name != artefacts.MANIFEST
     }

@@ -23,6 +23,7 @@ from gym_open.evaluate.play import evaluate
 from gym_open.evaluate.proof import task_free_proof
 from gym_open.evaluate.scores import Episodes, summarise
 from gym_open.evaluate.verify import verify_scores
+from gym_open.files import sha256_file
 from gym_open.formats.episodes import replay_puzzle
 from gym_open.formats.scores import EPISODES, RECORD, read_episodes, read_scores
 
@@ -50,7 +51,7 @@ def forge(scores: Path, tmp_path: Path) -> Forge:
 
 def reseal(folder: Path) -> None:
     entries = {
-        path.name: artefacts.Entry(sha256=artefacts.sha256_file(path), bytes=path.stat().st_size)
+        path.name: artefacts.Entry(sha256=sha256_file(path), bytes=path.stat().st_size)
         for path in folder.iterdir()
         if path.name != artefacts.MANIFEST
     }

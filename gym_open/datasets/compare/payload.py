@@ -8,6 +8,7 @@ import msgspec
 
 from gym_open import artefacts
 from gym_open.artefacts import Entry
+from gym_open.files import sha256_file
 from gym_open.formats.releases.info import read_json
 from gym_open.formats.releases.layout import DIGESTS_PATH, RECORDS, SIGNATURE
 
@@ -60,4 +61,4 @@ def _entry(path: Path) -> Entry:
 
 @functools.lru_cache(maxsize=100_000)
 def _hashed(path: Path, size: int, mtime_ns: int) -> Entry:  # noqa: ARG001 (a changed file is another one)
-    return Entry(sha256=artefacts.sha256_file(path), bytes=size)
+    return Entry(sha256=sha256_file(path), bytes=size)

@@ -14,7 +14,7 @@ from gym_open.artefacts import MANIFEST, SIGNATURE, Entry
 from gym_open.datasets.compare.semver import parse
 from gym_open.datasets.hub.client import check_repo, tags, talking, told, tree, verified, versions
 from gym_open.errors import ArtefactError, GymOpenError, UsageError
-from gym_open.files import lock
+from gym_open.files import lock, sha256_file
 from gym_open.formats.releases.layout import INFO_PATH, belongs
 
 if TYPE_CHECKING:
@@ -136,10 +136,10 @@ class _Pull:
     def _listed_file(self, name: str, entry: Entry) -> None:
         """Fetch a file, unless it came in an earlier try."""
         path = self.folder / name
-        if path.is_file() and artefacts.sha256_file(path) == entry.sha256:
+        if path.is_file() and sha256_file(path) == entry.sha256:
             return
         self._fetch(name)
-        if path.stat().st_size != entry.bytes or artefacts.sha256_file(path) != entry.sha256:
+        if path.stat().st_size != entry.bytes or sha256_file(path) != entry.sha256:
             raise ArtefactError(
                 f"{self.repo}: {name} came with other bytes than {MANIFEST} says; try again or elsewhere"
             )
@@ -168,7 +168,7 @@ class _Pull:
 
     def _compare(self, out: Path) -> None:
         """Check that what is at `out` already is what the hub's manifest lists."""
-        same = artefacts.sha256_file(self.folder / MANIFEST)
+        same = sha256_file(self.folder / MANIFEST)
         shutil.rmtree(self.folder)
         if not (out / MANIFEST).is_file() or artefacts.digest(out) != same:
             raise UsageError(f"{out}: exists and is not what the hub has; give another --out or remove it")

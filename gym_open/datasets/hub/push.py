@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from gym_open import artefacts
 from gym_open.artefacts import MANIFEST, SIGNATURE, Entry
 from gym_open.datasets.compare.semver import parse
 from gym_open.datasets.hub.client import check_repo, tags, talking, tree, verified, versions
 from gym_open.errors import ArtefactError, GymOpenError, UsageError
+from gym_open.files import sha256_file
 from gym_open.formats.releases.layout import CODEBASE_VERSION
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def _entries(root: Path) -> dict[str, Entry]:
     found = msgspec.json.decode((root / MANIFEST).read_bytes(), type=dict[str, Entry])
     for path in (root / MANIFEST, root / SIGNATURE):
         if path.is_file():
-            found[path.name] = Entry(sha256=artefacts.sha256_file(path), bytes=path.stat().st_size)
+            found[path.name] = Entry(sha256=sha256_file(path), bytes=path.stat().st_size)
     return found
 
 

@@ -14,6 +14,7 @@ from gym_open import artefacts
 from gym_open.config import to_dict
 from gym_open.datasets.compare import payload
 from gym_open.datasets.config import Header
+from gym_open.files import write_atomically
 from gym_open.formats.releases.layout import PROVENANCE
 
 STATEMENT, PREDICATE = "https://in-toto.io/Statement/v1", "https://slsa.dev/provenance/v1"
@@ -32,9 +33,7 @@ def write_provenance(folder: Path, config: Header, parents: Sequence[Path], comm
         parents: the artefacts that it was made of.
         command: `build`, `append`, `merge` or `filter`.
     """
-    artefacts.write_atomically(
-        folder / PROVENANCE, artefacts.canonical_json(statement(folder, config, parents, command))
-    )
+    write_atomically(folder / PROVENANCE, artefacts.canonical_json(statement(folder, config, parents, command)))
 
 
 def statement(folder: Path, config: Header, parents: Sequence[Path], command: str) -> dict[str, Any]:

@@ -13,8 +13,9 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from gym_open.artefacts import SCRATCH, canonical_json, sha256_file, write_atomically
+from gym_open.artefacts import SCRATCH, canonical_json
 from gym_open.datasets.writing.lerobot_files import parquet_writer
+from gym_open.files import sha256_file, write_atomically
 
 _GROUP_ROWS = 128
 """Episodes in memory as Python objects at a time: some 75 kB each."""

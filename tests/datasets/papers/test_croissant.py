@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from gym_open.artefacts import sha256_file
 from gym_open.datasets import Release
 from gym_open.datasets.config import Header
 from gym_open.datasets.papers.croissant import croissant
+from gym_open.files import sha256_file
 
 
 @pytest.fixture(scope="module")

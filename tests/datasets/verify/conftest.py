@@ -17,6 +17,7 @@ from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.datasets.verify import Report, run, verify_release
 from gym_open.datasets.verify.replaying import replay_release
+from gym_open.files import sha256_file
 
 Reseal = Callable[[Path], None]
 Quick = Callable[[Path], Report]
@@ -49,7 +50,7 @@ def reseal() -> Reseal:
         for path in sorted(root.rglob("*")):
             name = path.relative_to(root).as_posix()
             if path.is_file() and not path.is_symlink() and name != artefacts.MANIFEST:
-                manifest[name] = artefacts.Entry(artefacts.sha256_file(path), path.stat().st_size)
+                manifest[name] = artefacts.Entry(sha256_file(path), path.stat().st_size)
         (root / artefacts.MANIFEST).write_bytes(artefacts.canonical_json(manifest))
 
     return seal

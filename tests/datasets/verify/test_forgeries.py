@@ -11,8 +11,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from gym_open import artefacts
 from gym_open.datasets.verify import Report, run, verify_release
+from gym_open.files import sha256_file
 from gym_open.formats.pictures import encode_pngs
 from gym_open.formats.releases import IMAGE, open_release
 
@@ -225,7 +225,7 @@ def add_to(name: str) -> Callable[[Path], str]:
 
         def change(value: Any) -> None:
             (subject,) = (item for item in value["subject"] if item["name"] == name)
-            subject["digest"]["sha256"] = artefacts.sha256_file(root / name)
+            subject["digest"]["sha256"] = sha256_file(root / name)
 
         edit_json(root, PROVENANCE, change)
         return "not what this version of gym-open writes of this release"

@@ -16,6 +16,7 @@ from gym_open.datasets.config import ReleaseConfig
 from gym_open.datasets.writing import lerobot_files
 from gym_open.datasets.writing.video import encode_clip
 from gym_open.errors import ArtefactError
+from gym_open.files import sha256_file
 from gym_open.formats.releases import IMAGE, Release, open_release, videos
 from gym_open.formats.releases.layout import TABLES
 
@@ -176,7 +177,7 @@ def test_another_kind_or_version_is_refused(copy: Path, make_log: Callable[..., 
     ):
         path.write_text(json.dumps({**info, **change}))
         manifest = json.loads((copy / artefacts.MANIFEST).read_text())
-        manifest["meta/info.json"] = {"sha256": artefacts.sha256_file(path), "bytes": path.stat().st_size}
+        manifest["meta/info.json"] = {"sha256": sha256_file(path), "bytes": path.stat().st_size}
         (copy / artefacts.MANIFEST).write_bytes(artefacts.canonical_json(manifest))
         with pytest.raises(ArtefactError, match=words):
             open_release(copy)

@@ -20,6 +20,7 @@ from gym_open.envs.puzzles.sets import puzzle_id, puzzles_of
 from gym_open.envs.puzzles.witnesses import witnesses_of
 from gym_open.evaluate.proof import oracle_proof
 from gym_open.evaluate.scores import Episodes, summarise, write_episodes, write_scores
+from gym_open.files import sha256_file
 from gym_open.formats.models import save_policy
 from gym_open.formats.scores import Scores
 
@@ -117,7 +118,7 @@ def seal() -> Callable[[Path], None]:
 
     def sealed(folder: Path) -> None:
         entries = {
-            path.name: artefacts.Entry(sha256=artefacts.sha256_file(path), bytes=path.stat().st_size)
+            path.name: artefacts.Entry(sha256=sha256_file(path), bytes=path.stat().st_size)
             for path in folder.iterdir()
             if path.name != artefacts.MANIFEST
         }

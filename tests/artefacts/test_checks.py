@@ -11,6 +11,7 @@ import pytest
 from gym_open import artefacts
 from gym_open.config import Config
 from gym_open.errors import ArtefactError
+from gym_open.files import sha256_file
 
 
 class Toy(Config, frozen=True, kw_only=True):
@@ -104,7 +105,7 @@ def test_names_that_leave_the_folder_or_are_odd_are_told(name: str, tmp_path: Pa
     """Even if there is such a file, and its bytes are as the manifest says."""
     out = _make(tmp_path / "a").path
     (tmp_path / "x").write_text("mine")
-    manifest = {**artefacts.manifest(out), name: artefacts.Entry(artefacts.sha256_file(tmp_path / "x"), 4)}
+    manifest = {**artefacts.manifest(out), name: artefacts.Entry(sha256_file(tmp_path / "x"), 4)}
     (out / "manifest.json").write_bytes(artefacts.canonical_json(manifest))
     with pytest.raises(ArtefactError, match="may not list"):
         artefacts.verify(out)

@@ -14,6 +14,7 @@ import pytest
 from gym_open import artefacts
 from gym_open.config import Config
 from gym_open.errors import ArtefactError, UsageError
+from gym_open.files import write_atomically
 
 
 class Toy(Config, frozen=True, kw_only=True):
@@ -104,11 +105,11 @@ def small_disk() -> Iterator[None]:
 @pytest.mark.usefixtures("small_disk")
 def test_a_full_disk_is_an_error_by_name_and_leaves_what_was_there(tmp_path: Path) -> None:
     path = tmp_path / "summary.json"
-    artefacts.write_atomically(path, b"old")
+    write_atomically(path, b"old")
     with pytest.raises(
         ArtefactError, match=r"summary\.json: cannot be written \(File too large\).*make room.*same command again"
     ):
-        artefacts.write_atomically(path, bytes(5000))
+        write_atomically(path, bytes(5000))
     assert list(tmp_path.iterdir()) == [path]
     assert path.read_bytes() == b"old"
 

@@ -1,0 +1,55 @@
+"""Artefacts: folders that are whole or absent, know their bytes, and know where they come from.
+
+An artefact is a folder of payload files and three records:
+
+    config.json     all of the configuration that made it, defaults included
+    lineage.json    kind, key of its inputs, parents (digest and lineage of each), code and package versions, facts
+    manifest.json   SHA-256 and size of every other file
+
+Its *digest* is the SHA-256 of manifest.json. No path, host, user name or time of day is in any of them, so the same
+inputs give the same digest in any folder. It is written in a hidden sibling folder and renamed when it is whole.
+
+A release may have a signature.json beside them: it signs the manifest, so it cannot be in it.
+"""
+
+from gym_open.artefacts.building import RECORDED_PACKAGES, SCRATCH, Outcome, build, code_version, is_up_to_date
+from gym_open.artefacts.checks import MAX_SIGNATURE_BYTES, Problem, problems, verify
+from gym_open.artefacts.records import (
+    CONFIG,
+    LINEAGE,
+    MANIFEST,
+    SIGNATURE,
+    Entry,
+    Lineage,
+    Parent,
+    canonical_json,
+    config_of,
+    digest,
+    lineage,
+    manifest,
+)
+
+__all__ = [
+    "CONFIG",
+    "LINEAGE",
+    "MANIFEST",
+    "MAX_SIGNATURE_BYTES",
+    "RECORDED_PACKAGES",
+    "SCRATCH",
+    "SIGNATURE",
+    "Entry",
+    "Lineage",
+    "Outcome",
+    "Parent",
+    "Problem",
+    "build",
+    "canonical_json",
+    "code_version",
+    "config_of",
+    "digest",
+    "is_up_to_date",
+    "lineage",
+    "manifest",
+    "problems",
+    "verify",
+]

@@ -1,0 +1,186 @@
+"""How an artefact is made: in a hidden sibling folder, resumed after a kill, renamed when it is whole."""
+
+import functools
+import hashlib
+import importlib.metadata
+import itertools
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+import gym_open
+from gym_open.artefacts.checks import STRANGE, problems, verify, walk
+from gym_open.artefacts.records import (
+    CONFIG,
+    LINEAGE,
+    MANIFEST,
+    Entry,
+    Lineage,
+    Parent,
+    canonical_json,
+    digest,
+    lineage,
+    manifest,
+)  # fmt: skip
+from gym_open.config import Config, to_dict
+from gym_open.errors import ArtefactError, RefusedError, UsageError
+from gym_open.files import FULL, lock, sha256_file, unwritable, write_atomically
+
+SCRATCH = "checkpoint"
+"""Folder inside an unfinished artefact for whatever a resume needs; removed before sealing."""
+
+RECORDED_PACKAGES = (
+    "av", "lerobot", "matplotlib", "mcap", "mujoco", "mujoco-core", "numba", "numpy", "pillow", "pyarrow", "torch",
+)  # fmt: skip
+
+
+class Outcome(msgspec.Struct, frozen=True):
+    """What `build` did."""
+
+    path: Path
+    made: bool
+    """Made now, or found up to date."""
+    earlier: Path | None = None
+    """Where an artefact of other inputs, which stood at `path` before, was put aside."""
+
+
+@functools.cache
+def code_version() -> str:
+    """Version of gym-open and a digest of its source files, so that changed code is never taken for the same."""
+    root = Path(gym_open.__file__).parent
+    total = hashlib.sha256()
+    for path in sorted([*root.rglob("*.py"), *root.rglob("*.jinja")]):
+        total.update(f"{path.relative_to(root).as_posix()} {sha256_file(path)}\n".encode())
+    return f"{gym_open.__version__}+{total.hexdigest()[:12]}"
+
+
+@functools.cache
+def _packages() -> dict[str, str]:
+    found = {}
+    for name in RECORDED_PACKAGES:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue  # training and evaluation also run where LeRobot is not installed
+    return found
+
+
+def build(
+    out: Path, *, kind: str, config: Config, parents: Sequence[Path], work: Callable[[Path], Mapping[str, Any]],
+    replace: bool = True,
+) -> Outcome:  # fmt: skip
+    """Make the artefact `out` unless it is already there and up to date.
+
+    `work` gets a folder to write the payload into and returns the facts for the lineage. The folder survives a kill:
+    if it holds files, `work` goes on from them. What was made of other inputs, whole or not, is set aside.
+
+    Args:
+        out: folder of the artefact.
+        kind: `log`, `release`, `encoder`, `policy`, `probe`, `scores`, `recording` or `figure`.
+        config: everything that decides the result, the seed included.
+        parents: folders of the input artefacts; each is verified byte by byte first.
+        work: writes the payload.
+        replace: whether an artefact of other inputs at `out` is set aside, rather than left alone.
+
+    Raises:
+        ArtefactError: if a parent is damaged, `out` is something else, or the disk is full.
+        RefusedError: if `work` raises it; nothing of what it made is kept.
+        UsageError: if another process is writing `out` now, nothing can be written there, or it is there, of other
+            inputs, and not to be replaced.
+    """
+    out = out.absolute()
+    inputs = [Parent(digest=verify(parent), manifest=manifest(parent), lineage=lineage(parent)) for parent in parents]
+    key = _key(kind, config, [parent.digest for parent in inputs])
+    if out.exists():
+        if not (out / LINEAGE).is_file():
+            raise ArtefactError(f"{out}: exists and is not an artefact of gym-open; give another --out or remove it")
+        if lineage(out).key == key:
+            _verify_own(out)
+            return Outcome(path=out, made=False)
+        if not replace:
+            raise UsageError(
+                f"{out}: is there already, made of other inputs or by other code, and is never changed; give another "
+                "--out, or of a release a higher --version"
+            )
+    partial = out.parent / f".{out.name}.partial"
+    with lock(out):
+        if not _claim(partial, key):
+            try:
+                facts = dict(work(partial))
+            except RefusedError:
+                shutil.rmtree(partial)
+                raise
+            except OSError as error:
+                if error.errno in FULL:
+                    raise unwritable(Path(error.filename or partial), error) from error
+                raise
+            record = Lineage(kind=kind, key=key, code=code_version(), packages=_packages(), facts=facts, parents=inputs)
+            _seal(partial, config, record)
+        earlier = _set_aside(out) if out.exists() else None
+        partial.rename(out)
+    return Outcome(path=out, made=True, earlier=earlier)
+
+
+def _verify_own(out: Path) -> None:
+    try:
+        verify(out)
+    except ArtefactError as error:
+        raise ArtefactError(f"{error}. To make it anew: remove the folder {out} and run the same command") from None
+
+
+def _set_aside(path: Path) -> Path:
+    """Rename `path` to the first free `NAME-1`, `NAME-2`, …: nothing that was made is ever deleted."""
+    aside = next(name for n in itertools.count(1) if not (name := path.with_name(f"{path.name}-{n}")).exists())
+    path.rename(aside)
+    return aside
+
+
+def is_up_to_date(out: Path, *, kind: str, config: Config, parents: Sequence[Path]) -> bool:
+    """Whether `build` would find `out` up to date: made of these inputs by this code, and whole.
+
+    Every byte of `out` is read, and of the parents only their manifests: who asks this of many artefacts asks it of the
+    parents, too.
+    """
+    try:
+        key = _key(kind, config, [digest(parent) for parent in parents])
+        return lineage(out).key == key and not any(problems(out))
+    except ArtefactError:
+        return False
+
+
+def _key(kind: str, config: Config, parents: Sequence[str]) -> str:
+    value = [kind, to_dict(config), parents, code_version()]
+    return hashlib.sha256(canonical_json(value)).hexdigest()
+
+
+def _claim(partial: Path, key: str) -> bool:
+    """Take the folder to work in; True if all is done, by a run that was killed between sealing and renaming it."""
+    if (partial / MANIFEST).is_file() and lineage(partial).key == key:
+        shutil.rmtree(partial / SCRATCH, ignore_errors=True)
+        _verify_own(partial)
+        return True
+    mark = partial / SCRATCH / "key"
+    if partial.exists() and (not mark.is_file() or mark.read_text() != key):
+        _set_aside(partial)
+    mark.parent.mkdir(parents=True, exist_ok=True)
+    if not mark.exists():
+        write_atomically(mark, key.encode())
+    return False
+
+
+def _seal(partial: Path, config: Config, record: Lineage) -> None:
+    write_atomically(partial / CONFIG, canonical_json(to_dict(config)))
+    write_atomically(partial / LINEAGE, canonical_json(record))
+    present, _, strange = walk(partial)
+    for name in strange:
+        raise ArtefactError(f"{partial / name}: {STRANGE}")
+    entries = {
+        name: Entry(sha256=sha256_file(partial / name), bytes=size)
+        for name, size in present.items()
+        if name != MANIFEST and not name.startswith(f"{SCRATCH}/")
+    }
+    write_atomically(partial / MANIFEST, canonical_json(entries))
+    shutil.rmtree(partial / SCRATCH)  # last: a kill leaves a folder that the same command goes on from, or only renames
