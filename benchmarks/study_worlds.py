@@ -1,12 +1,15 @@
 """How many worlds must play see before an encoder can know where things are? And what is it worth to know?
 
     .venv/bin/python benchmarks/study_worlds.py --out /tmp/told            # a table, and an encoder for every row
-    gym-open train policy --config train/policy-strong.toml --encoder /tmp/told/worlds-5000 --agent told-5000
+    gym-open train policy --config train/policy-strong.toml --encoder /tmp/told/cells-5000 --agent told-cells
+    gym-open train policy --config train/policy-strong.toml --encoder /tmp/told/agent-50 --agent told-agent
 
-The paper's network is told, in pictures of random play, which cell of the table each agent, goal and cube is in. The
-same number of pictures comes from few worlds or from many. In new worlds it must name the cells: of the n objects of a
-kind, how many lie in the n cells that it holds most likely. No world model is involved: this is what the pictures, not
-the objective, allow.
+The paper's network is told, in pictures of random play, which cell of the table each agent, goal and cube is in
+(`cells`), or where the agent is and nothing else (`agent`). The same number of pictures comes from few worlds or from
+many. No world model is involved: this is what the pictures, not the objective, allow.
+
+In new worlds it must name the cells: of the n objects of a kind, how many lie in the n cells that it holds most likely;
+or the agent's place: how far it is missed by, in cells.
 """
 
 import argparse
@@ -14,7 +17,7 @@ import itertools
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -43,6 +46,7 @@ HELD_OUT = 500
 class TellConfig(Config, frozen=True, kw_only=True):
     """What decides such an encoder."""
 
+    what: Literal["cells", "agent"]
     worlds: int
     pictures: int = 10_000
     updates: int = 2_000
@@ -51,11 +55,23 @@ class TellConfig(Config, frozen=True, kw_only=True):
     seed: int = 0
 
 
-def draw(worlds: int, pictures: int, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
-    """Pictures (N, 84, 84, 3) uint8 of random play, and which cells hold something, (N, kinds, cells) float32."""
+class Told(NamedTuple):
+    """Pictures of random play, and what there is to tell of them."""
+
+    images: Tensor
+    """(N, 84, 84, 3) uint8."""
+    cells: Tensor
+    """Which cells hold something, (N, kinds, cells) float32."""
+    agent: Tensor
+    """Where the agent is, (N, 2) float32, in cells from the table's middle."""
+
+
+def draw(worlds: int, pictures: int, rng: np.random.Generator) -> Told:
+    """Pictures of `worlds` new worlds, as many of each."""
     world = World()
     images = np.empty((pictures, c.IMAGE_SIZE, c.IMAGE_SIZE, 3), np.uint8)
     there = np.zeros((pictures, len(KINDS), CELLS), np.float32)
+    agent = np.empty((pictures, 2), np.float32)
     ends = np.linspace(0, pictures, worlds + 1).astype(int)
     with progress.bar("draw worlds", worlds) as bar:
         for first, last in itertools.pairwise(ends.tolist()):
@@ -65,11 +81,12 @@ def draw(worlds: int, pictures: int, rng: np.random.Generator) -> tuple[Tensor, 
                     world.step(action)
                 world.observe(images[i])
                 places = world.object_state()[:, :2]
+                agent[i] = places[BODIES[0][0]] / c.PITCH
                 for kind, bodies in enumerate(BODIES):
                     own = places[bodies]
                     there[i, kind, cell_of(own[np.abs(own[:, 1]) < c.WALL_Y])] = 1
             bar.advance()
-    return torch.from_numpy(images), torch.from_numpy(there)
+    return Told(torch.from_numpy(images), torch.from_numpy(there), torch.from_numpy(agent))
 
 
 def cell_of(places: np.ndarray) -> np.ndarray:
@@ -79,53 +96,64 @@ def cell_of(places: np.ndarray) -> np.ndarray:
     return (rows * c.COLUMNS + columns).astype(int)
 
 
-def tell(config: TellConfig, encoder: Encoder, head: nn.Linear, images: Tensor, there: Tensor) -> None:
-    """Teach encoder and head which cells are taken."""
+def tell(config: TellConfig, encoder: Encoder, head: nn.Linear, told: Told) -> None:
+    """Teach encoder and head which cells are taken, or where the agent is."""
     rng = seeding.generator(config.seed, "tell", "batches")
-    learned = [*encoder.parameters(), *head.parameters()]
-    optimizer = torch.optim.Adam(learned, lr=config.learning_rate, fused=True)
+    optimizer = torch.optim.Adam([*encoder.parameters(), *head.parameters()], lr=config.learning_rate, fused=True)
     with progress.bar(f"{config.worlds:,} worlds", config.updates) as bar:
         for _ in range(config.updates):
-            chosen = torch.from_numpy(rng.integers(len(images), size=config.batch_size))
+            chosen = torch.from_numpy(rng.integers(len(told.images), size=config.batch_size))
             with autocast("bf16", "cpu"):
-                logits = head(encoder(encoder.prepare(images[chosen])))
-            loss = nn.functional.binary_cross_entropy_with_logits(logits.float(), there[chosen].flatten(1))
+                answer = head(encoder(encoder.prepare(told.images[chosen])))
+            if config.what == "cells":
+                truth = told.cells[chosen].flatten(1)
+                loss = nn.functional.binary_cross_entropy_with_logits(answer.float(), truth)
+            else:
+                loss = nn.functional.mse_loss(answer.float(), told.agent[chosen])
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
             bar.advance(note=f"loss {loss.item():.4f}")
 
 
-def found(encoder: Encoder, head: nn.Linear, images: Tensor, there: Tensor) -> list[float]:
+@torch.no_grad()
+def found(encoder: Encoder, head: nn.Linear, told: Told) -> list[float]:
     """By kind, the share of taken cells that are among the n most likely ones, n being how many are taken."""
-    with torch.no_grad():
-        features = torch.cat([encoder.encode(part) for part in images.split(250)])
-        logits = head(features).view(len(images), len(KINDS), CELLS)
+    logits = head(torch.cat([encoder.encode(part) for part in told.images.split(250)])).view(told.cells.shape)
     best = logits.argsort(dim=-1, descending=True).argsort(dim=-1)
-    named = (best < there.sum(dim=-1, keepdim=True)) & there.bool()
-    return (named.sum(dim=(0, 2)) / there.sum(dim=(0, 2))).tolist()
+    named = (best < told.cells.sum(dim=-1, keepdim=True)) & told.cells.bool()
+    return (named.sum(dim=(0, 2)) / told.cells.sum(dim=(0, 2))).tolist()
 
 
-def study(config: TellConfig, out: Path, held_out: tuple[Tensor, Tensor]) -> list[float]:
-    """Make the encoder of one row, and say what it finds in new worlds."""
+@torch.no_grad()
+def missed_by(encoder: Encoder, head: nn.Linear, told: Told) -> list[float]:
+    """How far the agent is from where it is said to be: the mean, in cells."""
+    answer = head(torch.cat([encoder.encode(part) for part in told.images.split(250)]))
+    return [(answer - told.agent).norm(dim=1).mean().item()]
+
+
+def study(config: TellConfig, out: Path, held_out: Told) -> list[float]:
+    """Make the encoder of one row, and say what it knows in new worlds."""
 
     def work(folder: Path) -> Mapping[str, Any]:
         init = torch.Generator().manual_seed(seeding.integer(config.seed, "tell", "init"))
         encoder = Encoder(EncoderConfig(), init)
-        head = nn.Linear(encoder.config.features, len(KINDS) * CELLS)
-        images, there = draw(config.worlds, config.pictures, seeding.generator(config.seed, "tell", config.worlds))
-        encoder.set_mean_image(images)
-        tell(config, encoder, head, images, there)
+        head = nn.Linear(encoder.config.features, len(KINDS) * CELLS if config.what == "cells" else 2)
+        told = draw(config.worlds, config.pictures, seeding.generator(config.seed, "tell", config.worlds))
+        encoder.set_mean_image(told.images)
+        tell(config, encoder, head, told)
         save_encoder(folder, encoder)
-        return {"world_model": "told", "worlds": config.worlds, "found": found(encoder, head, *held_out)}
+        knows = (found if config.what == "cells" else missed_by)(encoder, head, held_out)
+        return {"world_model": "told", "worlds": config.worlds, "knows": knows}
 
     made = artefacts.build(out, kind="encoder", config=config, parents=[], work=work)
-    return artefacts.lineage(made.path).facts["found"]
+    return artefacts.lineage(made.path).facts["knows"]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="folder for the encoders")
+    parser.add_argument("--what", choices=("cells", "agent"), default="cells", help="what it is told")
     parser.add_argument("--worlds", type=int, nargs="+", default=[10, 50, 500, 5_000])
     parser.add_argument("--pictures", type=int, default=10_000)
     parser.add_argument("--updates", type=int, default=2_000)
@@ -133,15 +161,24 @@ def main() -> None:
     given = parser.parse_args()
     torch.set_num_threads(1)
     held_out = draw(HELD_OUT, HELD_OUT, seeding.generator(given.seed, "tell", "held out"))
-    table = Table("worlds", *(f"{kind} found" for kind in KINDS), "seconds", title="objects found in new worlds")
+    named = [f"{kind} found" for kind in KINDS] if given.what == "cells" else ["agent missed by, cells"]
+    table = Table("worlds", *named, "seconds", title="in new worlds")
     for worlds in given.worlds:
         began = time.perf_counter()
-        config = TellConfig(worlds=worlds, pictures=given.pictures, updates=given.updates, seed=given.seed)
-        shares = study(config, given.out / f"worlds-{worlds}", held_out)
-        table.add_row(f"{worlds:,}", *(f"{share:.2f}" for share in shares), f"{time.perf_counter() - began:.0f}")
-    chance = held_out[1].sum(dim=(0, 2)) / HELD_OUT / CELLS
-    table.add_row("chance", *(f"{share:.2f}" for share in chance.tolist()), "")
+        config = TellConfig(
+            what=given.what, worlds=worlds, pictures=given.pictures, updates=given.updates, seed=given.seed
+        )
+        knows = study(config, given.out / f"{given.what}-{worlds}", held_out)
+        table.add_row(f"{worlds:,}", *(f"{one:.2f}" for one in knows), f"{time.perf_counter() - began:.0f}")
+    table.add_row("chance", *(f"{one:.2f}" for one in chance(given.what, held_out)), "")
     Console().print(table)
+
+
+def chance(what: str, told: Told) -> list[float]:
+    """What cells drawn at random would find; how far the agent is from its mean place."""
+    if what == "agent":
+        return [(told.agent - told.agent.mean(dim=0)).norm(dim=1).mean().item()]
+    return (told.cells.sum(dim=(0, 2)) / HELD_OUT / CELLS).tolist()
 
 
 if __name__ == "__main__":

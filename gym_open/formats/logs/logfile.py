@@ -130,16 +130,19 @@ def open_whole_chunks(path: Path) -> tuple[LogFile, Damage | None]:
 
 
 def _before_damage(path: Path, found: Contents, damage: Damage, head: Contents) -> Contents:
-    """The head, and the chunks before the damage. The channels are named in the first one, and behind the damage."""
+    """The head, and the chunks before the damage. The channels are named in the first one, and behind the damage.
+
+    What a chunk holds is counted: its index may be gone, or be what is damaged.
+    """
     places = [place for place in found.chunks if place.offset < damage.offset]
     topics: dict[int, str] = {}
-    for place in places[:1]:
-        list(read_chunk(path, place, topics))
-    if places:  # the index of the last chunk may be gone
-        messages = list(read_chunk(path, places[-1], topics))
-        numbers = {topic: number for number, topic in topics.items()}
-        places[-1] = places[-1]._replace(counts=Counter(numbers[message.topic] for message in messages))
-    return head._replace(chunks=places, channels={number: (topic, 0) for number, topic in topics.items()})
+    counts = [Counter(message.topic for message in read_chunk(path, place, topics)) for place in places]
+    numbers = {topic: number for number, topic in topics.items()}
+    counted = [
+        place._replace(counts={numbers[topic]: count for topic, count in of_place.items()})
+        for place, of_place in zip(places, counts, strict=True)
+    ]
+    return head._replace(chunks=counted, channels={number: (topic, 0) for number, topic in topics.items()})
 
 
 def parse_head(contents: Contents) -> tuple[LogHead, int]:

@@ -1,15 +1,20 @@
 """Reading part of a log: steps that were asked for, and what is whole of a damaged one."""
 
+import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
+from mcap.opcode import Opcode
 
 from gym_open.formats.logs import LogWriter, Segment, SegmentStart, StepRecord, Stuck, Switch, open_log, open_whole_part
 from gym_open.formats.logs import logfile as module
+from gym_open.formats.logs import mcap as log_mcap
 from gym_open.formats.logs.container import read_contents
+from gym_open.formats.logs.messages import messages_of
 from gym_open.formats.logs.repair import repair
 from gym_open.formats.logs.schemas import LogError
 
