@@ -78,3 +78,11 @@ def test_play_without_a_world_model_says_nothing_of_it(make_log: MakeLog) -> Non
     assert "intrinsic reward" in axes
     assert not any("loss" in name for name in axes)
     assert sum(name.startswith("step ") for name in axes) == 2
+
+
+def test_a_reward_that_nothing_made_is_not_drawn(staged_log: Path) -> None:
+    title, streams = open_streams(staged_log, Choice())
+    _, _, paint = play_page(title, streams)
+    axes = drawn(paint)
+    assert "policy" in axes
+    assert not any("reward" in name for name in axes)

@@ -37,9 +37,9 @@ def page() -> Iterator[Page]:
         inner.shutdown()
 
 
-def status(page: Page, host: str | None = None) -> int:
+def status(page: Page, host: str | None = None, path: str = "/favicon.svg") -> int:
     with closing(http.client.HTTPConnection(LOOPBACK, page.port, timeout=10)) as connection:
-        connection.request("GET", "/favicon.svg", headers={"Host": host} if host else {})
+        connection.request("GET", path, headers={"Host": host} if host else {})
         return connection.getresponse().status
 
 
@@ -49,6 +49,13 @@ def test_another_machines_name_is_refused_and_a_proxy_not_asked(page: Page, monk
     assert [status(page, host) for host in ("evil.example", "evil.example:9090", "127.0.0.1.evil.example:1")] == [
         403
     ] * 3
+
+
+def test_only_the_files_of_the_page_are_passed_on(page: Page) -> None:
+    assert [status(page, path=path) for path in ("/re_viewer.js", "/favicon.ico?again", "/?url=x")] == [200] * 3
+    assert [status(page, path=path) for path in ("/other", "/re_viewer.js/..", "//", "http://evil.example/")] == [
+        404
+    ] * 4
 
 
 def test_a_tab_that_closes_is_no_error(page: Page, capsys: pytest.CaptureFixture[str]) -> None:

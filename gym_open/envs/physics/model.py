@@ -253,6 +253,8 @@ def _pairs(options: WorldOptions, kinds: dict[str, _Kind]) -> list[str]:
 
 def _bounces(options: WorldOptions, kinds: dict[str, _Kind]) -> list[str]:
     """Pairs for what bounces otherwise than v1: MuJoCo itself takes the less bouncy of two, not their mean."""
+    if all(kind.bounciness == c.BOUNCINESS for kind in kinds.values()):
+        return []
     names = inventory(options)
     found: list[tuple[str, str, float]] = []
     for a, b in combinations(names, 2):

@@ -1,6 +1,6 @@
 """Reading part of a log: steps that were asked for, and what is whole of a damaged one."""
 
-import io
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -115,6 +115,48 @@ def test_changed_bytes_end_a_log_before_them(chunked: Path, tmp_path: Path) -> N
     assert found == {step: every[step] for step in range(len(found))}
 
 
+def end_of_chunk(raw: bytes, offset: int) -> int:
+    """Byte behind the record at this one; the index of a chunk follows."""
+    return offset + 9 + struct.unpack_from("<Q", raw, offset + 1)[0]
+
+
+def test_a_step_that_was_torn_is_not_read(made_up: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Chunks end between the messages of a step, too; and a cut may leave the chunk, but not the index behind it."""
+    monkeypatch.setattr(log_mcap, "CHUNK_BYTES", 110_000)
+    records = made_up.records(pictures=True, steps=2)
+    (path,) = made_up.write(tmp_path, records)
+    raw, every, places = path.read_bytes(), by_step(open_log(path).segments()), read_contents(path).chunks
+    ends = np.cumsum([len(list(messages_of(record, made_up.head.reward_parts))) for record in records])
+    steps = [
+        (begin, end)
+        for record, begin, end in zip(records, [0, *ends], ends, strict=False)
+        if isinstance(record, StepRecord)
+    ]
+    held, torn = sum(places[0].counts.values()), 0
+    for place in places[1:]:
+        held += sum(place.counts.values())
+        path.write_bytes(raw[: end_of_chunk(raw, place.offset)])
+        log, whole = open_whole_part([path]), sum(end <= held for _, end in steps)
+        assert log.n_steps == whole
+        assert by_step(log.segments()) == {step: every[step] for step in range(whole)}
+        torn += sum(begin < held < end for begin, end in steps)
+    assert torn > 3
+
+
+def test_a_damaged_index_of_a_chunk_is_not_believed(chunked: Path, tmp_path: Path) -> None:
+    """Of all checksums only that of the whole file tells of it; the messages are whole."""
+    raw, log, places = chunked.read_bytes(), open_log(chunked), read_contents(chunked).chunks
+    changed, at, tried = tmp_path / "stream-002-000.mcap", end_of_chunk(raw, places[3].offset), 0
+    while raw[at] == Opcode.MESSAGE_INDEX:
+        other_channel = bytes([raw[at + 9] ^ 1])
+        changed.write_bytes(raw[: at + 9] + other_channel + raw[at + 10 :])
+        found = open_whole_part([changed])
+        assert found.damage is not None
+        assert (found.n_steps, found.switches, found.stuck) == (27, log.switches, log.stuck)
+        at, tried = end_of_chunk(raw, at), tried + 1
+    assert tried > 3
+
+
 def test_a_whole_log_is_not_damaged(chunked: Path) -> None:
     log = open_whole_part([chunked])
     assert log.damage is None
@@ -132,6 +174,19 @@ def test_what_comes_before_a_missing_part_is_read(made_up: Any, tmp_path: Path) 
     last = open_whole_part(parts[:2])
     assert last.damage == f"{parts[2].name}, in which it goes on, is missing"
     assert open_whole_part([parts[2]]).damage is None  # one part alone is looked at as such
+
+
+def test_a_part_of_another_run_is_not_read(made_up: Any, tmp_path: Path) -> None:
+    """Though it has the right number."""
+    stranger = type(made_up)()
+    stranger.head = msgspec.structs.replace(made_up.head, provenance={"code": "other"})
+    for folder in (tmp_path / "own", tmp_path / "other"):
+        folder.mkdir()
+    first, *_ = made_up.write(tmp_path / "own", made_up.records(steps=3), roll_bytes=1)
+    _, *others = stranger.write(tmp_path / "other", made_up.records(steps=3), roll_bytes=1)
+    log = open_whole_part([first, *others])
+    assert log.damage == f"what follows is missing: {others[0].name} is part 1, of this or another run"
+    assert by_step(log.segments()) == by_step(open_log(first).segments())
 
 
 def test_a_log_without_its_end_says_so(made_up: Any, tmp_path: Path) -> None:

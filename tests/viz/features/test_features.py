@@ -122,6 +122,22 @@ def test_marked_points_are_the_frame_and_its_neighbours(drawn: Drawn, kind: str,
     assert not np.allclose(untrained, cloud)
 
 
+def test_the_untrained_encoder_shares_the_mean_picture_and_nothing_else(
+    drawn: Drawn, release: Path, tmp_path: Path
+) -> None:
+    clouds = [drawn.static("/untrained/space/world", "Points3D:positions")]
+    for seed, mean in ((2, 0.0), (1, 0.5)):
+        encoder = Encoder(SMALL, torch.Generator().manual_seed(seed))
+        encoder.mean_image.fill_(mean)
+        source = build(tmp_path / f"encoder{seed}", "encoder", lambda partial, one=encoder: save_encoder(partial, one))
+        other = drawn._replace(path=tmp_path / f"{seed}.rrd")
+        fill(features.view(VizConfig(), source, Choice(release=release)), other.path)
+        clouds.append(other.static("/untrained/space/world", "Points3D:positions"))
+    same, other_weights, other_mean = np.array(clouds)
+    assert np.array_equal(same, other_weights)
+    assert not np.allclose(same, other_mean, atol=1e-3)
+
+
 def test_the_second_component_goes_up(drawn: Drawn) -> None:
     """Rerun's planes have y downwards."""
     plane = np.array(drawn.static("/trained/plane/world", "Points2D:positions"))

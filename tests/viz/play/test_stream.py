@@ -188,10 +188,12 @@ def test_segments_tell_what_came_of_them(recording: Any, segments: list[Segment]
         assert f"[{segment.index}](recording:/{entity})" in listed
         facts = {
             name: recording.static(entity, f"Segment:{name}")[0]
-            for name in ("world", "first_step", "steps", "ended", "contacts", "mean_intrinsic_reward", "loss_at_exit")
+            for name in ("world", "first_step", "steps", "ended", "contacts", "mean_intrinsic_reward")
         }
         assert math.isclose(facts.pop("mean_intrinsic_reward"), segment.intrinsic_reward.mean(), rel_tol=1e-6)
-        assert np.array_equal(facts.pop("loss_at_exit"), [0.5, math.inf, 0.25][segment.world])
+        losses = [recording.static(entity, f"Segment:loss_at_{when}")[0] for when in ("entry", "exit")]
+        known = [0.5, math.inf, 0.25][segment.world]
+        assert losses == [known if segment.index else math.inf, known]  # no world was visited before the first
         assert facts == {
             "world": segment.world, "first_step": segment.first_step, "steps": len(segment.actions),
             "ended": segment.ended, "contacts": sum(map(len, segment.contacts)),
@@ -291,19 +293,41 @@ def test_depth_is_in_metres_and_geoms_have_names(staged_log: Path, tmp_path: Pat
         assert (classes[1:] == step % 60).all()
 
 
+@pytest.fixture(scope="module")
+def staged_release(staged_log: Path, no_figures: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("staged") / "release"
+    return build_release(ReleaseConfig(max_episode_steps=7), [staged_log], out).path
+
+
 def test_who_is_stuck_is_the_same_of_a_log_and_its_release(
-    staged_log: Path, no_figures: None, tmp_path: Path, read_back: Any
+    staged_log: Path, staged_release: Path, tmp_path: Path, read_back: Any
 ) -> None:
-    made = build_release(ReleaseConfig(max_episode_steps=7), [staged_log], tmp_path / "release").path
     told: list[list[tuple[int, str, str]]] = []
-    for source in (staged_log, made):
+    for source in (staged_log, staged_release):
         recording = read_back(recorded(source, tmp_path / f"{len(told)}.rrd"))
         steps, texts = recording.column("/stream_0/events", "TextLog:text")
         _, levels = recording.column("/stream_0/events", "TextLog:level")
         told.append([(step, text[0], level[0]) for step, text, level in zip(steps, texts, levels, strict=True)])
+        segments = [f"/stream_0/segments/segment_{number:04d}" for number in range(2)]
+        assert [recording.static(segment, "Segment:times_stuck")[0] for segment in segments] == [1, 0]
     assert told[0] == told[1]
     stuck = [(step, level) for step, text, level in told[0] if text.startswith("agent")]
     assert stuck == [(32, "WARN"), (41, "INFO")]
-    cut = read_back(recorded(made, tmp_path / "cut.rrd", steps=range(34, 45)))  # stuck since before that
-    steps, texts = cut.column("/stream_0/events", "TextLog:text")
-    assert [(step, text[0]) for step, text in zip(steps, texts, strict=True)] == [(41, told[0][2][1])]
+
+
+@pytest.mark.parametrize("kind", ["staged_log", "staged_release"])
+@pytest.mark.parametrize(
+    ("steps", "at", "words"),
+    [
+        (range(20, 32), 32, "agent stuck at"),
+        (range(32, 41), 41, "agent free again at"),  # stuck after step 31, which is not shown
+        (range(34, 45), 41, "agent free again at"),
+    ],
+)
+def test_of_picked_steps_is_told_what_follows_each(
+    request: pytest.FixtureRequest, tmp_path: Path, read_back: Any, *, kind: str, steps: range, at: int, words: str
+) -> None:
+    recording = read_back(recorded(request.getfixturevalue(kind), tmp_path / "cut.rrd", steps=steps))
+    (found,), ((text,),) = recording.column("/stream_0/events", "TextLog:text")
+    assert found == at
+    assert text.startswith(words)
