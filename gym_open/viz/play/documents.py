@@ -13,6 +13,8 @@ from gym_open.viz.words import cell, table
 
 _MOST_RAW = 20_000
 """Characters of raw JSON that are shown: Rerun draws all of a document in every frame."""
+_MOST_ROWS = 500
+"""Settings that are shown in the table: ten times as many as a stage has."""
 _SHORT = 12
 """Characters of a digest that are shown in a table."""
 
@@ -25,7 +27,10 @@ def settings(title: str, facts: Mapping[str, object], config: Mapping[str, Any])
         facts: a few words each, by name.
         config: plain data, from a file.
     """
-    rows = [[cell(name), cell(value)] for name, value in flattened(config)]
+    every = list(flattened(config))
+    rows = [[cell(name), cell(value)] for name, value in every[:_MOST_ROWS]]
+    if len(every) > _MOST_ROWS:
+        rows.append(["…", f"{len(every) - _MOST_ROWS:,} more are in the file"])
     lines = [
         f"# {cell(title)}",
         *([*table(["", ""], [[cell(name), cell(value)] for name, value in facts.items()]), ""] if facts else []),

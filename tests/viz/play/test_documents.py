@@ -56,3 +56,10 @@ def test_lineage_names_every_ancestor() -> None:
 
 def test_one_file_has_no_lineage() -> None:
     assert "| file | a\\_b |" in text_of(lineage("Lineage", None, {"file": "a_b"}))
+
+
+def test_of_very_many_settings_the_first_are_shown() -> None:
+    text = text_of(settings("log", {}, {f"setting{i}": i for i in range(1000)}))
+    assert "| setting499 | 499 |" in text
+    assert "| setting500 |" not in text
+    assert "| … | 500 more are in the file |" in text
