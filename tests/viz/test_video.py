@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from gym_open.errors import ArtefactError
 from gym_open.formats.logs import log_files, open_log
 from gym_open.viz.choice import Choice
 from gym_open.viz.config import VizConfig
-from gym_open.viz.film import coverage_picture
+from gym_open.viz.film import coverage_picture, write_whole
 from gym_open.viz.play.glance import glance
 from gym_open.viz.play.page import open_streams
 from gym_open.viz.strip import Curve, Plot, Strip
@@ -65,6 +66,8 @@ def test_a_glance_is_thinned_and_holds_means(log: Path) -> None:
 def test_part_of_play_is_shown(log: Path) -> None:
     _, streams = open_streams(log, Choice(segment=1, stream=0))
     assert [moment.step for moment in glance(streams[0], 100).moments] == list(range(5, 18))
+    _, streams = open_streams(log, Choice(steps=range(7, 19), stream=0))
+    assert [moment.step for moment in glance(streams[0], 5).moments] == [7, 10, 13, 16, 19]  # from its own first on
 
 
 def test_a_gif_of_play(log: Path, tmp_path: Path) -> None:
@@ -72,6 +75,18 @@ def test_a_gif_of_play(log: Path, tmp_path: Path) -> None:
     with Image.open(write_video(config, [log], Choice(stream=1), tmp_path / "play.gif")) as film:
         assert film.n_frames == 4  # pyright: ignore
         assert film.width == 740
+
+
+def test_what_fails_half_way_leaves_what_was_there(tmp_path: Path) -> None:
+    def write(beside: Path) -> None:
+        beside.write_text("half")
+        raise ArtefactError("it is damaged")
+
+    (tmp_path / "old.mp4").write_text("old")
+    for name in ("old.mp4", "new.mp4"):
+        with pytest.raises(ArtefactError, match="is damaged"):
+            write_whole(tmp_path / name, write)
+    assert [(item.name, item.read_text()) for item in tmp_path.iterdir()] == [("old.mp4", "old")]
 
 
 def test_the_cursor_is_where_the_step_is_drawn() -> None:

@@ -53,9 +53,7 @@ def test_another_machines_name_is_refused_and_a_proxy_not_asked(page: Page, monk
 
 def test_only_the_files_of_the_page_are_passed_on(page: Page) -> None:
     assert [status(page, path=path) for path in ("/re_viewer.js", "/favicon.ico?again", "/?url=x")] == [200] * 3
-    assert [status(page, path=path) for path in ("/other", "/re_viewer.js/..", "//", "http://evil.example/")] == [
-        404
-    ] * 4
+    assert [status(page, path=path) for path in ("/other", "/re_viewer.js/..")] == [404] * 2
 
 
 def test_a_tab_that_closes_is_no_error(page: Page, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pytest
@@ -18,6 +18,7 @@ from gym_open.envs.env import OpenEnv
 from gym_open.envs.puzzles import Puzzle
 from gym_open.envs.puzzles.sets import puzzle_id, puzzles_of
 from gym_open.envs.puzzles.witnesses import witnesses_of
+from gym_open.envs.tasks import step_budget
 from gym_open.evaluate.proof import oracle_proof
 from gym_open.evaluate.scores import Episodes, summarise, write_episodes, write_scores
 from gym_open.files import sha256_file
@@ -55,13 +56,19 @@ def into_the_patch(puzzle: Puzzle) -> list[int]:
     return found
 
 
-def make_scores(out: Path, agent: str, sequences: Sequence[Sequence[int]], policy: str | None = None) -> Source:
-    """Scores of the first puzzles of the task, played with these actions."""
-    puzzles = puzzles_of(TASK, "test")[: len(sequences)]
-    n = len(sequences)
-    actions, rewards = np.full((n, BUDGET), -1, np.int8), np.zeros((n, BUDGET))
+def make_scores(
+    out: Path,
+    agent: str,
+    sequences: Sequence[Sequence[int]],
+    policy: str | None = None,
+    task: Literal["avoidance", "preferences"] = TASK,
+) -> Source:
+    """Scores of the first puzzles of a task, played with these actions."""
+    puzzles = puzzles_of(task, "test")[: len(sequences)]
+    n, budget = len(sequences), step_budget(task)
+    actions, rewards = np.full((n, budget), -1, np.int8), np.zeros((n, budget))
     steps, terminated = np.zeros(n, np.int64), np.zeros(n, bool)
-    env = OpenEnv(TASK)
+    env = OpenEnv(task)
     for i, (puzzle, sequence) in enumerate(zip(puzzles, sequences, strict=True)):
         env.reset(options={"puzzle": puzzle})
         for t, action in enumerate(sequence):
@@ -70,14 +77,14 @@ def make_scores(out: Path, agent: str, sequences: Sequence[Sequence[int]], polic
         assert env.ended
     played = Episodes(actions, rewards, steps, terminated)
     record = Scores(
-        task=TASK, split="test", agent=agent, seed=3, evaluation_seed=0, trained=20_480, actions="sampled",
+        task=task, split="test", agent=agent, seed=3, evaluation_seed=0, trained=20_480, actions="sampled",
         policy=policy, proof=oracle_proof(), code="test", hardware={"cores": 1}, **summarise(played),
     )  # fmt: skip
 
     def work(folder: Path) -> Mapping[str, Any]:
         write_scores(folder, record)
-        write_episodes(folder, [puzzle_id(TASK, "test", i) for i in range(n)], puzzles, played)
-        return {"task": TASK, "split": "test", "agent": agent}
+        write_episodes(folder, [puzzle_id(task, "test", i) for i in range(n)], puzzles, played)
+        return {"task": task, "split": "test", "agent": agent}
 
     path = artefacts.build(out, kind="scores", config=Made(name=agent), parents=[], work=work).path
     return Source(path, [list(each) for each in sequences], [rewards[i, : steps[i]].tolist() for i in range(n)])
@@ -110,6 +117,18 @@ def others(tmp_path_factory: pytest.TempPathFactory) -> Source:
     """Another agent, which solves the second puzzle alone."""
     sequences = [[0] * BUDGET, list(witnesses_of(TASK, "test")[1].actions)]
     return make_scores(tmp_path_factory.mktemp("others") / "scores", "other", sequences)
+
+
+@pytest.fixture(scope="session")
+def half_way(tmp_path_factory: pytest.TempPathFactory) -> Source:
+    """Of two puzzles with a yellow and a green goal, one solved, and one given up when the first goal was touched."""
+    first, second = (list(witness.actions) for witness in witnesses_of("preferences", "test")[:2])
+    env, taken, budget = OpenEnv("preferences"), 1, step_budget("preferences")
+    env.reset(options={"puzzle": puzzles_of("preferences", "test")[1]})
+    while not env.step(second[taken - 1])[1]:
+        taken += 1
+    sequences = [first, second[:taken] + [0] * (budget - taken)]
+    return make_scores(tmp_path_factory.mktemp("half") / "scores", "half", sequences, task="preferences")
 
 
 @pytest.fixture(scope="session")

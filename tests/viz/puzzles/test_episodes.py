@@ -91,16 +91,21 @@ def test_the_policy_behind_scores_says_what_it_made_of_their_episode(scores: Any
     assert float(np.ptp(own.opinion.probabilities, axis=1).min()) > 0.01
 
 
+@pytest.mark.parametrize(("at", "paid"), [(0, 0.0), (-1, 1.0)])
 def test_scores_that_do_not_come_out_again_are_refused(
-    scores: Any, tmp_path: Path, seal: Callable[[Path], None]
+    scores: Any, tmp_path: Path, seal: Callable[[Path], None], at: int, paid: float
 ) -> None:
+    """Whether they say more or less than was earned."""
     forged = shutil.copytree(scores.path, tmp_path / "forged")
     table = pq.read_table(forged / EPISODES)
     rows = table.to_pylist()
-    rows[0]["rewards"][0] = 0.5
+    rows[0]["rewards"][at] = 0.5
+    step = 1 if at == 0 else rows[0]["steps"]
     pq.write_table(pa.Table.from_pylist(rows, schema=table.schema), forged / EPISODES)
     seal(forged)
-    with pytest.raises(ArtefactError, match=r"puzzle avoidance/000: step 1: reward 0\.5 was recorded, 0\.0 is paid"):
+    with pytest.raises(
+        ArtefactError, match=rf"puzzle avoidance/000: step {step}: reward 0\.5 was recorded, {paid} is paid"
+    ):
         play_all(SOLVED, [forged])
 
 

@@ -53,6 +53,15 @@ def test_tables_hold_what_was_earned_and_how_it_ended(table: Table, scores: Any,
     assert table.difficulty == pytest.approx(sorted(means.values()))
 
 
+def test_a_part_of_the_return_is_no_solution(half_way: Any) -> None:
+    (found,) = read_tables([half_way.path])
+    (agent,) = found.agents
+    assert agent.solved.tolist() == [True, False]
+    assert agent.earned[0, -1] == pytest.approx(1.0)
+    assert agent.earned[1, -1] in (0.2, 0.8)  # what the yellow and the green goal pay
+    assert agent.outcomes()[1].startswith("not solved in ")
+
+
 def test_the_curve_is_the_mean_return_within_i_actions(recording: Any, scores: Any, others: Any) -> None:
     assert "actions" in recording.timelines()
     for number, each in enumerate((scores, others)):
