@@ -14,19 +14,14 @@ from gym_open.errors import ArtefactError
 from gym_open.files import sha256_file
 
 
-class Toy(Config, frozen=True, kw_only=True):
-    n: int = 3
+def _work(partial: Path) -> Mapping[str, Any]:
+    (partial / "data").mkdir()
+    (partial / "data" / "numbers.txt").write_text("0 1 2")
+    return {}
 
 
-def _make(out: Path, config: Toy | None = None, parents: tuple[Path, ...] = ()) -> artefacts.Outcome:
-    config = config or Toy()
-
-    def work(partial: Path) -> Mapping[str, Any]:
-        (partial / "data").mkdir()
-        (partial / "data" / "numbers.txt").write_text(" ".join(map(str, range(config.n))))
-        return {"n": config.n}
-
-    return artefacts.build(out, kind="toy", config=config, parents=parents, work=work)
+def _make(out: Path) -> artefacts.Outcome:
+    return artefacts.build(out, kind="toy", config=Config(), parents=(), work=_work)
 
 
 def test_every_flipped_bit_position_of_every_file_is_found(tmp_path: Path) -> None:
@@ -126,7 +121,7 @@ def test_a_manifest_written_otherwise_is_told(tmp_path: Path) -> None:
 
 def test_a_signature_is_no_stray_file_of_a_release_alone(tmp_path: Path) -> None:
     def make(kind: str) -> Path:
-        return artefacts.build(tmp_path / kind, kind=kind, config=Toy(), parents=(), work=lambda _: {}).path
+        return artefacts.build(tmp_path / kind, kind=kind, config=Config(), parents=(), work=lambda _: {}).path
 
     for kind, expected in (("release", []), ("log", ["signature.json"])):
         out = make(kind)
@@ -138,7 +133,7 @@ def test_a_signature_is_no_stray_file_of_a_release_alone(tmp_path: Path) -> None
 
 
 def test_a_signature_that_is_none_by_its_size_is_not_read(tmp_path: Path) -> None:
-    out = artefacts.build(tmp_path / "a", kind="release", config=Toy(), parents=[], work=lambda _: {}).path
+    out = artefacts.build(tmp_path / "a", kind="release", config=Config(), parents=[], work=lambda _: {}).path
     for size, expected in ((2**20, []), (2**20 + 1, ["signature.json"]), (3 * 2**30, ["signature.json"])):
         with (out / "signature.json").open("wb") as file:
             file.truncate(size)  # sparse: it takes no space
