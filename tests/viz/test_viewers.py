@@ -29,7 +29,12 @@ from gym_open.viz.view import View
 ROOT = Path(__file__).parents[2]
 STEPS, VALUES = np.arange(1000), np.sin(np.arange(1000) / 50)
 VERMILION = (213, 94, 0)
-SERVE = "import runpy, sys; sys.path.insert(0, sys.argv[1]); runpy.run_path(sys.argv[2])['serve']()"
+SERVE = """
+import runpy, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests themselves run in the background
+sys.path.insert(0, sys.argv[1])
+runpy.run_path(sys.argv[2])['serve']()
+"""
 
 
 def wave() -> View:
@@ -183,7 +188,7 @@ def test_the_page_is_on_loopback_alone_and_no_child_is_left(
     (program,) = children(process.pid)
     assert listening(process.pid) | listening(program) == {"0100007F"}  # 127.0.0.1
     process.send_signal(sign)
-    assert process.wait(20) == (-sign if sign == signal.SIGKILL else 0)
+    assert process.wait(60) == (-sign if sign == signal.SIGKILL else 0)
     assert gone(program)
 
 
