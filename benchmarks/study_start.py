@@ -1,12 +1,12 @@
 """Is what an encoder knows lost in PPO's first updates? `train policy` from an encoder, but with a gentler start.
 
-    .venv/bin/python benchmarks/study_start.py --encoder /tmp/told/cells-5000 --critic-gain 0.01 --balanced --out /tmp/new
-    .venv/bin/python benchmarks/study_features.py /tmp/new
+    .venv/bin/python benchmarks/study_start.py --encoder /tmp/told/cells-5000 --critic-gain 0.01 --balanced --out /tmp/g
+    .venv/bin/python benchmarks/study_features.py /tmp/g
 
 `--critic-gain` is the gain of the value head's first weights (1 in `train policy`, as in CleanRL). `--balanced` scales
 every layer of the encoder, not the last alone, so that its outputs are as large as an untrained encoder's; ReLUs let
 that change features by one factor and nothing else. The policy is like any other, but its configuration does not say
-this: do not publish it.
+this: say it beside its scores.
 """
 
 import argparse
