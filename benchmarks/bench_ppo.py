@@ -33,10 +33,11 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
-from gym_open.agents.config import PPOConfig, Precision
+from gym_open.agents.config import PPOConfig
 from gym_open.agents.encoder import IMAGE_SHAPE, autocast
 from gym_open.agents.ppo import ppo_update
 from gym_open.envs.constants import N_ACTIONS
+from gym_open.precision import Precision
 from gym_open.train.config import PolicyTrainConfig
 from gym_open.train.policy import _Trainer
 from gym_open.train.tables import Tables

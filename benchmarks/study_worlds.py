@@ -103,7 +103,7 @@ def tell(config: TellConfig, encoder: Encoder, head: nn.Linear, told: Told) -> N
     with progress.bar(f"{config.worlds:,} worlds", config.updates) as bar:
         for _ in range(config.updates):
             chosen = torch.from_numpy(rng.integers(len(told.images), size=config.batch_size))
-            with autocast("bf16", "cpu"):
+            with autocast("auto"):
                 answer = head(encoder(encoder.prepare(told.images[chosen])))
             if config.what == "cells":
                 truth = told.cells[chosen].flatten(1)

@@ -5,10 +5,10 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from gym_open.config import Config, Count, Fraction, NonNegativeFloat, PositiveFloat, PositiveInt, matching
+from gym_open.precision import PrecisionSetting
 
 Width = Annotated[int, Meta(ge=1, le=16_384)]
 """Of a layer; bounded, since a network is made as its file says before its weights are looked at."""
-Precision = Literal["fp32", "bf16"]
 Device = Literal["cpu", "cuda"]
 Architecture = Literal["cnn", "impala", "state"]
 WorldModelName = Literal["none", "icm", "rnd", "curl"]
@@ -111,8 +111,9 @@ class PPOConfig(Config, frozen=True, kw_only=True):
     """Stop the update after the epoch whose KL divergence passes this."""
     shift_pad: Count = 8
     """Largest random shift, in pixels, of the pictures in the update (Kostrikov et al. 2021); 0 for none."""
-    precision: Precision = "bf16"
-    """Arithmetic of the network: bf16 is the faster on CPUs that have it, weights stay fp32."""
+    precision: PrecisionSetting = "auto"
+    """Arithmetic of the network: `auto` is bf16 on a processor or GPU that multiplies it natively, else fp32. Weights
+    stay fp32."""
 
 
 EXPLORER_PPO = PPOConfig(learning_rate=1e-3, minibatch_size=128, update_epochs=3, shift_pad=4, ent_coef=0.15)

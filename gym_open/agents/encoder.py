@@ -7,17 +7,18 @@ import torch
 from torch import Tensor, nn
 
 from gym_open.agents.augment import no_shifts, shift_each
-from gym_open.agents.config import EncoderConfig, Precision
+from gym_open.agents.config import EncoderConfig
 from gym_open.agents.impala import impala
 from gym_open.agents.layers import init_layer
+from gym_open.precision import PrecisionSetting, resolve
 
 IMAGE_SHAPE = (84, 84, 3)
 """Height, width, channels of an observation."""
 
 
-def autocast(precision: Precision, device: str = "cpu") -> torch.autocast:
+def autocast(precision: PrecisionSetting, device: str = "cpu") -> torch.autocast:
     """Context in which the network computes in `precision` (weights and losses stay fp32) on a `device`."""
-    return torch.autocast(device, torch.bfloat16, enabled=precision == "bf16")
+    return torch.autocast(device, torch.bfloat16, enabled=resolve(precision, device) == "bf16")
 
 
 def convolutions(features: int, activation: Callable[[], nn.Module], generator: torch.Generator) -> nn.Sequential:

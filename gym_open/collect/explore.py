@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from msgspec import structs
 
 from gym_open import artefacts, progress
 from gym_open.agents.explorer import Acted, Explorer, Learned
@@ -32,6 +33,7 @@ from gym_open.formats.logs import LogHead, LogWriter, Switch
 from gym_open.formats.logs.resume import resume_writer
 from gym_open.formats.logs.schemas import Ended
 from gym_open.formats.models import save_encoder
+from gym_open.precision import Precision, settle
 
 IMAGE_SHAPE = (IMAGE_SIZE, IMAGE_SIZE, 3)
 MIB = 2**20
@@ -66,6 +68,7 @@ def collect(config: CollectConfig, out: Path) -> artefacts.Outcome:
 def _work(config: CollectConfig, folder: Path) -> Mapping[str, Any]:
     threads = torch.get_num_threads()
     torch.set_num_threads(config.threads)
+    config, precision = _settled(config, folder)
     try:
         with ExitStack() as logs:
             exploration = Exploration(config, folder, logs)
@@ -85,7 +88,21 @@ def _work(config: CollectConfig, folder: Path) -> Mapping[str, Any]:
         "explorer": config.explorer.name,
         "puzzles": sorted(puzzle.digest for puzzle in exploration.pool.puzzles),
         "steps": exploration.record.steps,
+        "precision": precision,
     }
+
+
+def _settled(config: CollectConfig, folder: Path) -> tuple[CollectConfig, Precision | None]:
+    """The configuration with the learner's precision in place of `auto`, as logs hold it, and that precision.
+
+    An explorer without a learner has None, and keeps its configuration: its log is the same on every processor.
+    """
+    explorer = config.explorer
+    if explorer.world_model == "none":
+        return config, None
+    precision = settle(explorer.ppo.precision, "cpu", folder / artefacts.SCRATCH)
+    ppo = structs.replace(explorer.ppo, precision=precision)
+    return structs.replace(config, explorer=structs.replace(explorer, ppo=ppo)), precision
 
 
 class Exploration:

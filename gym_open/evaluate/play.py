@@ -26,6 +26,7 @@ from gym_open.evaluate.scores import Episodes, summarise, write_episodes, write_
 from gym_open.formats.acting import action_generator, draw_action, load_judge
 from gym_open.formats.scores import Proof, Scores
 from gym_open.hardware import hardware
+from gym_open.precision import Precision
 
 Actor = Callable[[np.ndarray], np.ndarray]
 """From images (B, 84, 84, 3) uint8, or states (B, `STATE_SIZE`) float32, to action probabilities (B, 9)."""
@@ -46,6 +47,7 @@ class _Player(NamedTuple):
     actions: Literal["sampled", "greedy", "witnesses"]
     policy: str | None
     proof: Proof
+    precision: Precision | None = None
 
 
 def evaluate(
@@ -105,8 +107,9 @@ def _evaluate_policy(config: EvaluateConfig, policy: Path, out: Path, at: int | 
         actor, states = load_actor(folder, config)
         episodes = play(actor, config.task, puzzles_of(config.task, config.split), config, states=states)
         player = _Player(
-            facts.agent, facts.seed, config.seed, trained, config.actions, link.digest, task_free_proof(link)
-        )
+            facts.agent, facts.seed, config.seed, trained, config.actions, link.digest, task_free_proof(link),
+            facts.precision,
+        )  # fmt: skip
         return _write(partial, config, episodes, player, threads=config.threads)
 
     key = config if at is None else CheckpointConfig(**to_dict(config), at=at)

@@ -18,6 +18,7 @@ from gym_open.artefacts import LINEAGE, Parent, code_version
 from gym_open.envs.puzzles.sets import reserved_digests
 from gym_open.errors import ArtefactError
 from gym_open.formats.scores import Proof
+from gym_open.precision import Precision
 
 _BELOW = {"policy": ("encoder", "log"), "encoder": ("release",), "release": ("log", "release"), "log": ()}
 """What each kind of link may be made of."""
@@ -49,6 +50,8 @@ class PolicyFacts(msgspec.Struct, frozen=True):
     encoder: Literal["none", "offline", "online"]
     from_encoder: bool
     checkpoints: list[_Checkpoint]
+    precision: Precision | None = None
+    """Arithmetic in which it was trained; gym-open 0.1 did not say."""
 
     def steps_at(self, asked: int) -> int | None:
         """Agent steps behind the checkpoint that was asked for, None if there is none."""

@@ -8,6 +8,7 @@ import msgspec
 from gym_open import artefacts
 from gym_open.envs.puzzles.sets import PER_SET, Split
 from gym_open.errors import ArtefactError
+from gym_open.precision import Precision
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -53,6 +54,9 @@ class Scores(msgspec.Struct, frozen=True, kw_only=True):
     """Version of gym-open that evaluated."""
     hardware: dict[str, str | int]
     """What it was evaluated on."""
+    precision: Precision | None = None
+    """Arithmetic in which the policy was trained (scoring computes in fp32); None for what is no policy, and in scores
+    of gym-open 0.1."""
     a_success: float
     a_success_half_width_95: float
     """Half of the width of the 95% normal interval over puzzles: another draw of puzzles, not another training seed."""

@@ -9,10 +9,10 @@ from gym_open.agents.config import (
     EncoderConfig,
     IcmConfig,
     PPOConfig,
-    Precision,
     RndConfig,
 )
 from gym_open.config import Config, Count, PositiveFloat, PositiveInt, Seed
+from gym_open.precision import PrecisionSetting
 
 
 class EncoderTrainConfig(Config, frozen=True, kw_only=True):
@@ -38,8 +38,9 @@ class EncoderTrainConfig(Config, frozen=True, kw_only=True):
     """Looked at if `world_model` is `rnd`."""
     curl: CurlConfig = CurlConfig()
     """Looked at if `world_model` is `curl`."""
-    precision: Precision = "bf16"
-    """Arithmetic of the network: bf16 is the faster on CPUs that have it, weights stay fp32."""
+    precision: PrecisionSetting = "auto"
+    """Arithmetic of the network: `auto` is bf16 on a processor or GPU that multiplies it natively, else fp32. Weights
+    stay fp32."""
     device: Device = "cpu"
     """Where the network is: `cuda` for a GPU, where the last bits of two runs may differ."""
     threads: PositiveInt = 2

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from msgspec import structs
 
 from gym_open import artefacts, progress, seeding
 from gym_open.agents.augment import draw_shifts
@@ -26,6 +27,7 @@ from gym_open.formats.models import save_encoder
 from gym_open.formats.releases import IMAGE, open_release
 from gym_open.formats.windows import Batch, Pictures, Windows
 from gym_open.hardware import check_device, hardware
+from gym_open.precision import settle
 from gym_open.train.config import EncoderTrainConfig
 from gym_open.train.curve import Row, clean, save_curve
 from gym_open.train.tensorboard import Board
@@ -63,8 +65,9 @@ def train_encoder(
     def work(partial: Path) -> Mapping[str, Any]:
         torch.set_num_threads(config.threads)
         scratch = partial / artefacts.SCRATCH
+        precision = settle(config.precision, config.device, scratch)
         pictures = Pictures(open_release(release), cache=cache or scratch)  # a resumed run finds them there
-        trainer = _Trainer(config, pictures, scratch / "state.safetensors")
+        trainer = _Trainer(structs.replace(config, precision=precision), pictures, scratch / "state.safetensors")
         trainer.resume()
         board = Board(tensorboard)
         trainer.run(board)
@@ -75,6 +78,7 @@ def train_encoder(
             "world_model": config.world_model,
             "updates": config.updates,
             "frames": trainer.frames,
+            "precision": precision,
             "hardware": hardware(config.threads, config.device),
         }
 

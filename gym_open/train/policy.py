@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from msgspec import structs
 
 from gym_open import artefacts, progress, seeding
 from gym_open.agents.encoder import Encoder, autocast
@@ -34,6 +35,7 @@ from gym_open.formats.models import (
     save_policy,
 )
 from gym_open.hardware import check_device, hardware
+from gym_open.precision import settle
 from gym_open.train.config import PolicyTrainConfig
 from gym_open.train.curve import Row, clean, save_curve
 from gym_open.train.tables import Episode, Tables
@@ -75,12 +77,14 @@ def train_policy(
 
     def work(partial: Path) -> Mapping[str, Any]:
         torch.set_num_threads(config.threads)
-        trainer = _Trainer(config, encoder, partial)
+        precision = settle(config.ppo.precision, config.device, partial / artefacts.SCRATCH)
+        settled = structs.replace(config, ppo=structs.replace(config.ppo, precision=precision))
+        trainer = _Trainer(settled, encoder, partial)
         trainer.resume()
         trainer.run(tensorboard)
         save_policy(partial, trainer.agent)
         save_curve(partial, COLUMNS, trainer.rows)
-        return _facts(config, encoder, trainer)
+        return _facts(settled, encoder, trainer)
 
     parents = [] if encoder is None else [encoder]
     return artefacts.build(out, kind="policy", config=config, parents=parents, work=work)
@@ -99,6 +103,7 @@ def _facts(config: PolicyTrainConfig, encoder: Path | None, trainer: "_Trainer")
         "frozen": config.frozen,
         "seed": config.seed,
         "from_encoder": encoder is not None,
+        "precision": config.ppo.precision,
         "hardware": hardware(config.threads, config.device),
     }
 

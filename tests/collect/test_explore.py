@@ -23,6 +23,7 @@ from gym_open.errors import ConfigError, DivergedError
 from gym_open.formats import stuck
 from gym_open.formats.logs import Log, Segment, log_files, open_log
 from gym_open.formats.models import load_encoder
+from gym_open.precision import native_precision
 
 pytestmark = pytest.mark.usefixtures("scripted")
 
@@ -58,6 +59,7 @@ def test_the_budget_is_spent_and_logged(made: Path, logs: list[Log]) -> None:
     assert [log.n_steps for log in logs] == [200, 200]
     assert artefacts.lineage(made).facts == {
         "task": "sandbox", "extrinsic_reward": False, "explorer": "curl+ride", "steps": 400,
+        "precision": native_precision(),
         "puzzles": sorted(puzzle.digest for puzzle in logs[0].puzzles),
     }  # fmt: skip
     assert {path.name for path in made.iterdir()} == {
@@ -69,7 +71,9 @@ def test_the_budget_is_spent_and_logged(made: Path, logs: list[Log]) -> None:
 def test_the_log_says_how_it_was_made(tiny: CollectConfig, logs: list[Log]) -> None:
     for index, log in enumerate(logs):
         assert log.stream == index
-        assert log.config == json.loads(artefacts.canonical_json(to_dict(tiny)))
+        asked = to_dict(tiny)
+        asked["explorer"]["ppo"]["precision"] = native_precision()  # in place of `auto`
+        assert log.config == json.loads(artefacts.canonical_json(asked))
         assert log.provenance["seed"] == "3"
         assert log.provenance["code"] == artefacts.code_version()
         assert "<mujoco" in log.model_xml

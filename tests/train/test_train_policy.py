@@ -19,6 +19,7 @@ from gym_open.envs.env import OpenEnv
 from gym_open.envs.state import state_vector
 from gym_open.errors import ArtefactError, ConfigError, DivergedError
 from gym_open.formats.models import load_encoder, load_policy
+from gym_open.precision import native_precision
 from gym_open.progress import bar
 from gym_open.train.config import EncoderTrainConfig, PolicyTrainConfig
 from gym_open.train.encoder import train_encoder
@@ -56,6 +57,7 @@ def test_payload_curve_and_lineage(tmp_path: Path) -> None:
     assert record.facts == {
         "task": "goal-seeking", "steps": 48, "checkpoints": [], "agent": "scratch", "encoder": "none", "transfer": None,
         "frozen": False, "seed": 0, "from_encoder": False,
+        "precision": native_precision(),
     }  # fmt: skip
     assert load_policy(path).n_actions == 9
 

@@ -88,7 +88,8 @@ def _makers(runs: Sequence[Run]) -> list[dict[str, Any]]:
         made = {
             "code": one_line(run.lineage.code),
             "packages": {one_line(name): one_line(version) for name, version in run.lineage.packages.items()},
-            "hardware": {one_line(name): one_line(str(value)) for name, value in run.record.hardware.items()},
+            "hardware": {one_line(name): one_line(str(value)) for name, value in run.record.hardware.items()}
+            | ({"trained in": run.record.precision} if run.record.precision else {}),
         }
         counted.setdefault(msgspec.json.encode(made, order="sorted"), made | {"scores": 0})["scores"] += 1
     return [counted[key] for key in sorted(counted)]
