@@ -60,3 +60,15 @@ def test_the_explorer_that_the_docs_add_is_one(tmp_path: Path) -> None:
     [text] = re.findall(r"```toml\n(.*?)```", (ROOT / "docs/explorers.md").read_text(), re.S)
     (tmp_path / "curl.toml").write_text(text)
     assert load(tmp_path / "curl.toml", CollectConfig).explorer.name == "curl"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_every_row_of_a_table_has_a_cell_for_every_heading(page: Path) -> None:
+    heading = None
+    for number, line in enumerate(page.read_text().splitlines(), 1):
+        if not line.startswith("|"):
+            heading = None
+            continue
+        cells = len(re.findall(r"(?<!\\)\|", re.sub(r"`[^`]*`", "", line)))
+        heading = heading or cells
+        assert cells == heading, f"{page}:{number}: {cells - 1} cells under {heading - 1} headings"
