@@ -7,9 +7,13 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 
 from gym_open import artefacts
 from gym_open.config import Config
+
+settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("any machine")  # no test fails because a machine is slow
 
 PARKED = ("green_2", "heavy_11", "light_0")
 """Objects that no puzzle of the log uses."""

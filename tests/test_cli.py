@@ -2,7 +2,6 @@
 
 import os
 import shlex
-import subprocess
 import sys
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from gym_open.config import Config
 from gym_open.errors import UsageError
 from gym_open.summary import word
 from gym_open.terminal import printable
+from tests.children import python, run
 
 
 @pytest.fixture
@@ -44,7 +44,7 @@ def test_help_imports_none_of_the_slow_libraries() -> None:
         "import sys; from gym_open.cli import main; main(['--help']);"
         "print([m for m in ('torch', 'mujoco', 'lerobot', 'rerun', 'numba', 'pandas') if m in sys.modules])"
     )
-    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    shown = python(code).stdout
     assert shown.splitlines()[-1] == "[]"
 
 
@@ -90,7 +90,7 @@ def test_who_stops_reading_sees_no_error() -> None:
     read, write = os.pipe()
     os.close(read)
     words = [sys.executable, "-m", "gym_open.cli", "puzzle", "show", "tool-use/000"]
-    done = subprocess.run(words, stdout=write, stderr=subprocess.PIPE, text=True, check=False)
+    done = run(words, stdout=write)
     os.close(write)
     assert (done.returncode, done.stderr) == (1, "")
 

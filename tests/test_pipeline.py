@@ -2,13 +2,10 @@
 
 import io
 import json
-import os
 import shutil
-import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,6 +20,7 @@ from gym_open.config import Config
 from gym_open.evaluate import a_success
 from gym_open.evaluate.config import EvaluateConfig
 from gym_open.pipeline import Journal, _learn_the_task, read_plan
+from tests.children import killed_at, run, started
 
 TINY = {
     "collect/curl-ride.toml": "steps = 768\nstreams = 2\nthreads = 1\ncheckpoint_every = 2\n",
@@ -31,6 +29,7 @@ TINY = {
     "train/probe.toml": "train_worlds = 60\nvalidation_worlds = 20\ntest_worlds = 30\npixels = false\nthreads = 1\n",
     "evaluate/goal-seeking.toml": "threads = 1\n",
 }
+RUN = "from gym_open.cli import main; sys.exit(main(['run', '--workspace', sys.argv[1]]))"
 RELEASE, SCORES = "datasets/open/explore-seed0/1.0.0", "evaluate/scores"
 
 
@@ -39,22 +38,6 @@ def _workspace(root: Path) -> Path:
     for name, text in TINY.items():
         (root / name).write_text(text)
     return root
-
-
-def _start(root: Path) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", "gym_open.cli", "run", "--workspace", str(root)]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
-
-
-def _kill_when(process: subprocess.Popen[bytes], ready: Callable[[], bool]) -> None:
-    until = time.monotonic() + 120
-    while not ready():
-        assert process.poll() is None, f"ended before it could be killed: {process.communicate()[0].decode()}"
-        assert time.monotonic() < until
-        time.sleep(0.005)
-    os.kill(process.pid, signal.SIGKILL)
-    assert process.wait() == -signal.SIGKILL
-    process.communicate()
 
 
 def _digests(root: Path) -> dict[str, str]:
@@ -75,16 +58,14 @@ class Runs(NamedTuple):
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runs]:
     base = tmp_path_factory.mktemp("runs")
     root, killed = _workspace(base / "w"), _workspace(base / "somewhere" / "else")
-    alone = _start(root)
-    for folder in ("collect/logs/.curl-ride-seed0.partial", "train/policies/.goal-seeking-scratch-seed0.partial"):
-        partial = killed / folder
-        _kill_when(_start(killed), lambda partial=partial: any((partial / artefacts.SCRATCH).glob("*.safetensors")))
-        assert partial.is_dir()
-    at_last = _start(killed)
-    shown_at_last = at_last.communicate()[0].decode()
-    shown = alone.communicate()[0].decode()
-    assert (alone.returncode, at_last.returncode) == (0, 0), shown + shown_at_last
-    yield Runs(root, shown, killed, shown_at_last)
+    words, told = [sys.executable, "-c", f"import sys; {RUN}"], {"stderr": subprocess.STDOUT, "text": True}
+    with started([*words, root], stdout=subprocess.PIPE, **told) as alone:
+        for folder in ("collect/logs/.curl-ride-seed0.partial", "train/policies/.goal-seeking-scratch-seed0.partial"):
+            killed_at(killed / folder / artefacts.SCRATCH, "*.safetensors", RUN, killed)
+        at_last = run([*words, killed], **told)
+        shown, _ = alone.communicate()
+    assert (alone.returncode, at_last.returncode) == (0, 0), shown + at_last.stdout
+    yield Runs(root, shown, killed, at_last.stdout)
     shutil.rmtree(base)
 
 

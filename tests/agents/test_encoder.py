@@ -114,7 +114,7 @@ def moved(picture: np.ndarray, down: int, right: int) -> np.ndarray:
 
 
 @given(seed=st.integers(0, 2**32), pad=st.integers(0, 12))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_shifts_are_applied_to_prepared_pictures_and_zero_comes_in(seed: int, pad: int) -> None:
     net, images = encoder(), pictures(6, seed)
     net.set_mean_image(images[:4])
@@ -143,7 +143,7 @@ def test_preparing_centres_and_scales() -> None:
 
 
 @given(seed=st.integers(0, 2**32), pad=st.integers(0, 12))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_the_compiled_shift_is_that_of_tensor_operations(seed: int, pad: int) -> None:
     """What runs on a GPU, run here; and bf16 is rounded as PyTorch rounds."""
     generator = torch.Generator().manual_seed(seed)

@@ -1,16 +1,14 @@
 """A tiny grid, as a person runs it: killed and gone on with, with a job that fails, and again when all is done."""
 
 import json
-import os
-import signal
-import subprocess
 import sys
-import time
 from pathlib import Path
+from subprocess import STDOUT
 
 import pytest
 
 from gym_open import artefacts, workspace
+from tests.children import killed_at, run
 
 TINY = {
     "collect/tiny.toml": "steps = 512\nstreams = 2\ncheckpoint_every = 2\n[explorer.encoder]\nfeatures = 64\n",
@@ -51,10 +49,13 @@ def _workspace(root: Path) -> Path:
     return root
 
 
-def _start(root: Path) -> subprocess.Popen[str]:
-    words = ["benchmark", str(root / "grid.toml"), "--workspace", str(root), "--out", str(root / "out"), "--jobs", "2"]
-    command = [sys.executable, "-m", "gym_open.cli", *words]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+def _words(root: Path) -> list[str]:
+    return ["benchmark", str(root / "grid.toml"), "--workspace", str(root), "--out", str(root / "out"), "--jobs", "2"]
+
+
+def _run(root: Path) -> tuple[int, str]:
+    done = run([sys.executable, "-m", "gym_open.cli", *_words(root)], stderr=STDOUT)
+    return done.returncode, done.stdout
 
 
 def _digests(root: Path) -> dict[str, str]:
@@ -62,30 +63,14 @@ def _digests(root: Path) -> dict[str, str]:
     return {path.relative_to(root).as_posix(): artefacts.digest(path) for path in sorted(found)}
 
 
-def _end(process: subprocess.Popen[str]) -> tuple[int, str]:
-    try:
-        said, _ = process.communicate()
-    finally:
-        process.kill()  # nothing, if it has ended
-    return process.returncode, said
-
-
 @pytest.mark.slow
-@pytest.mark.timeout(1800)
 def test_killed_broken_and_mended_it_ends_as_if_nothing_had_been(tmp_path: Path) -> None:
     root, other = _workspace(tmp_path / "a"), _workspace(tmp_path / "b" / "elsewhere")
     (other / "train/tiny-encoder.toml").write_text(BROKEN)
-    first = _start(other)
-    begun = other / "out/train/policies/.scratch-goal-seeking-seed0.partial" / artefacts.SCRATCH
-    until = time.monotonic() + 300
-    while not any(begun.glob("*.safetensors")):
-        assert first.poll() is None, _end(first)
-        assert time.monotonic() < until
-        time.sleep(0.01)
-    os.kill(first.pid, signal.SIGKILL)
-    _end(first)
+    code = "from gym_open.cli import main; sys.exit(main(sys.argv[1:]))"
+    killed_at(other / "out/train/policies", "*scratch-goal-seeking-seed0*", code, *_words(other))
 
-    code, said = _end(_start(other))
+    code, said = _run(other)
     assert code == 1, said
     assert "failed encoder-tiny-of" not in said
     assert "1 of 14 jobs failed, and 3 that need what they make were not begun" in said
@@ -95,10 +80,10 @@ def test_killed_broken_and_mended_it_ends_as_if_nothing_had_been(tmp_path: Path)
     assert "curl+ride-offline" not in report
 
     (other / "train/tiny-encoder.toml").write_text(TINY["train/tiny-encoder.toml"])
-    code, said = _end(_start(other))
+    code, said = _run(other)
     assert code == 0, said
     assert said.count(": up to date\n") == JOBS - 4
-    code, said = _end(_start(root))
+    code, said = _run(root)
     assert code == 0, said
     assert said.count(": made (") == JOBS
 
@@ -115,7 +100,7 @@ def test_killed_broken_and_mended_it_ends_as_if_nothing_had_been(tmp_path: Path)
     assert {score["proof"]["verdict"] for score in scores if score["agent"].startswith("curl")} == {"proven"}
 
     before = {path: path.stat().st_mtime_ns for path in (root / "out").glob("*/**/*.log")}
-    code, said = _end(_start(root))
+    code, said = _run(root)
     assert code == 0, said
     assert said.count(": up to date\n") == JOBS
     assert {path: path.stat().st_mtime_ns for path in before} == before  # no process was started

@@ -3,11 +3,9 @@
 import dataclasses
 import io
 import itertools
-import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +23,9 @@ from gym_open.collect.config import CollectConfig
 from gym_open.errors import GymOpenError
 from gym_open.evaluate.config import EvaluateConfig
 from gym_open.files import lock
+from tests.children import is_alive, started, until
+
+ROOT = Path(__file__).parents[2]
 
 MAKE = """
 import pathlib, sys, time
@@ -39,10 +40,7 @@ MEET = f"""
 import pathlib, sys, time
 here = pathlib.Path(sys.argv[1])
 (here.parent / f"{{here.name}}.begun").touch()
-until = time.monotonic() + 60
 while len(list(here.parent.glob("*.begun"))) < 2:
-    if time.monotonic() > until:
-        sys.exit("alone")
     time.sleep(0.01)
 {MAKE}
 """
@@ -186,15 +184,21 @@ def test_a_job_that_a_signal_ends_is_a_failure(tmp_path: Path) -> None:
 
 def test_children_have_one_thread_and_say_how_far_they_are(tmp_path: Path) -> None:
     script = """
-import os, time
+import os, pathlib, sys, time
 assert os.environ["OMP_NUM_THREADS"] == "1"
 from gym_open.progress import bar
+real, now = time.sleep, 0.0
+time.monotonic = lambda: now
+def wait_until_seen(done):
+    while not pathlib.Path(sys.argv[1] + f".{done}").exists():
+        real(0.01)
 with bar("playing", 400) as shown:
-    time.sleep(0.05)
+    wait_until_seen(0)
+    now = 0.05
     shown.advance(100)
-    time.sleep(1)
+    now = 1.05
     shown.advance(100)
-    time.sleep(0.3)
+    wait_until_seen(200)
 """
     made = Runner([job(tmp_path, "plays", script=script, units=400)], tmp_path / "jobs", 1)
     seen = set[tuple[int, int]]()
@@ -203,6 +207,7 @@ with bar("playing", 400) as shown:
         def show(self, runner: Runner) -> None:
             if (found := runner.runs["plays"].progress) is not None:
                 seen.add((found.done, found.total))
+                (tmp_path / f"plays.{found.done}").touch()
                 assert (found.done == 0) == (found.rate == 0)
 
     made.run(Watch(Console(file=io.StringIO())))
@@ -211,20 +216,8 @@ with bar("playing", 400) as shown:
     assert not list((tmp_path / "jobs").glob("*.progress*"))
 
 
-def _wait_for(path: Path) -> int:
-    until = time.monotonic() + 20
-    while not path.is_file() or not path.read_text().strip():
-        assert time.monotonic() < until
-        time.sleep(0.01)
-    return int(path.read_text())
-
-
-def is_alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    return "\nState:\tZ" not in Path(f"/proc/{pid}/status").read_text()  # not one that only waits to be buried
+def _number(path: Path) -> int:
+    return int(until(lambda: path.is_file() and path.read_text().strip()))
 
 
 RUNNER = """
@@ -232,36 +225,31 @@ import io, signal, sys
 from pathlib import Path
 from rich.console import Console
 sys.path[:0] = sys.argv[1:2]
-import test_runner
+from tests.benchmark import test_runner
+from tests.children import is_alive
 from gym_open.benchmark import AgentConfig, BenchmarkConfig, child, run_benchmark, runner
 child.PROGRAM = (sys.executable,)
 signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests themselves run in the background
 root = Path(sys.argv[2])
-script = f"import os, time; open({str(root / 'pid')!r}, 'w').write(str(os.getpid())); time.sleep(60)"
+script = f"import os, time; open({str(root / 'pid')!r}, 'w').write(str(os.getpid())); time.sleep(100_000)"
 runner.make_plan = lambda config, out, root: [test_runner.job(out, "long", script=script)]
 try:
     runner.run_benchmark(None, root / "out", root=root, jobs=1, console=Console(file=io.StringIO()))
 except KeyboardInterrupt:
-    sys.exit(1 if test_runner.is_alive(int((root / "pid").read_text())) else 130)
+    sys.exit(1 if is_alive(int((root / "pid").read_text())) else 130)
 """
 
 
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_no_child_outlives_the_runner(sign: signal.Signals, tmp_path: Path) -> None:
-    words = [sys.executable, "-c", RUNNER, str(Path(__file__).parent), str(tmp_path)]
-    with subprocess.Popen(words, stderr=subprocess.PIPE) as process:
-        try:
-            pid = _wait_for(tmp_path / "pid")
-            assert is_alive(pid)
-            process.send_signal(sign)
-            _, error = process.communicate(timeout=60)
-        finally:
-            process.kill()
-    assert process.returncode == (-sign if sign == signal.SIGKILL else 130), error.decode()
-    until = time.monotonic() + 5
-    while is_alive(pid):
-        assert time.monotonic() < until
-        time.sleep(0.01)
+    with started([sys.executable, "-c", RUNNER, ROOT, tmp_path], stderr=subprocess.PIPE, text=True) as process:
+        until((tmp_path / "pid").is_file, process)
+        pid = _number(tmp_path / "pid")
+        assert is_alive(pid)
+        process.send_signal(sign)
+        _, error = process.communicate()
+        assert process.returncode == (-sign if sign == signal.SIGKILL else 130), error
+        until(lambda: not is_alive(pid))
 
 
 def test_a_child_that_will_not_end_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -270,7 +258,9 @@ def test_a_child_that_will_not_end_is_killed(tmp_path: Path, monkeypatch: pytest
 import os, pathlib, signal, sys, time
 signal.signal(signal.SIGTERM, signal.SIG_IGN)
 pathlib.Path(sys.argv[1] + ".pid").write_text(str(os.getpid()))
-time.sleep(60)
+parent = os.getppid()
+while os.getppid() == parent:  # nor does it outlive the tests
+    time.sleep(0.1)
 """
     pid = tmp_path / "stubborn.pid"
 
@@ -282,7 +272,7 @@ time.sleep(60)
     made = Runner([job(tmp_path, "stubborn", script=script)], tmp_path / "jobs", 1)
     with pytest.raises(KeyboardInterrupt):
         made.run(Stop(Console(file=io.StringIO())))
-    assert not is_alive(_wait_for(pid))
+    assert not is_alive(_number(pid))
 
 
 def benchmark(root: Path, jobs: Sequence[Job], monkeypatch: pytest.MonkeyPatch, width: int | None = None) -> str:

@@ -2,11 +2,9 @@
 
 import inspect
 import json
-import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -23,39 +21,48 @@ from gym_open.collect.explore import collect
 from gym_open.collect.pool import Pool
 from gym_open.formats.logs import LogError, log_files
 from gym_open.formats.logs.container import Logged, whole_chunks
+from tests.children import python, started
 
 pytestmark = pytest.mark.usefixtures("scripted")
 
-
-def start(config: CollectConfig, out: Path) -> subprocess.Popen[bytes]:
-    script = f"""
-import math, sys
+SCRIPT = """
+import math, os, signal, sys, time
 from pathlib import Path
 from typing import Any
 import msgspec
 from gym_open import seeding
 from gym_open.collect.config import CollectConfig
-from gym_open.collect.explore import collect
+from gym_open.collect.explore import Exploration, collect
 from gym_open.collect.pool import Pool
-{inspect.getsource(Pool.loss)}
-Pool.loss = scripted_loss
-collect(msgspec.json.decode(sys.argv[1], type=CollectConfig), Path(sys.argv[2]))
+from gym_open.formats.logs.container import whole_chunks
 """
-    command = [sys.executable, "-c", script, msgspec.json.encode(config).decode(), str(out)]
-    return subprocess.Popen(command, env={**os.environ, "OMP_NUM_THREADS": "1"}, stderr=subprocess.DEVNULL)
+KILLED = """
+log, chunks, real = Path(sys.argv[3]), int(sys.argv[4]), Exploration.rollout
+def rollout(self, length):
+    if self.record.rollouts == chunks + 2:  # the log's own thread writes the chunks, which are one a rollout or more
+        while len(list(whole_chunks(log))) < chunks:
+            time.sleep(0.01)
+        os.kill(os.getpid(), signal.SIGKILL)
+    real(self, length)
+Exploration.rollout = rollout
+"""
+COLLECT = "collect(msgspec.json.decode(sys.argv[1], type=CollectConfig), Path(sys.argv[2]))"
+
+
+def script(and_so: str = "") -> str:
+    """Python code of a run whose losses are scripted as they are here."""
+    return f"{SCRIPT}{inspect.getsource(Pool.loss)}\nPool.loss = scripted_loss\n{and_so}{COLLECT}"
+
+
+def words(config: CollectConfig, out: Path) -> tuple[str, str]:
+    return msgspec.json.encode(config).decode(), str(out)
 
 
 def kill_after(config: CollectConfig, out: Path, chunks: int) -> None:
-    """Start the run and kill it with -9 once its first log holds so many whole chunks."""
-    process = start(config, out)
+    """Start a run that kills itself with -9 once its first log holds so many whole chunks."""
     log = out.parent / f".{out.name}.partial" / "stream-000-000.mcap"
-    try:
-        while not log.is_file() or len(list(whole_chunks(log))) < chunks:
-            assert process.poll() is None, "it ended before it could be killed"
-            time.sleep(0.01)
-    finally:
-        process.send_signal(signal.SIGKILL)
-        process.wait()
+    done = python(script(KILLED), *words(config, out), log, str(chunks))
+    assert done.returncode == -signal.SIGKILL, done.stderr
 
 
 def whole(folder: Path) -> list[list[list[Logged]]]:
@@ -113,7 +120,6 @@ def test_logs_in_several_files_go_on_too(
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
 @pytest.mark.parametrize("seed", range(3))
 def test_killed_again_and_again_at_any_moment(tiny: CollectConfig, tmp_path: Path, seed: int) -> None:
     """Killed with -9 at times that nobody chose, each a little later, until it gets through."""
@@ -121,13 +127,12 @@ def test_killed_again_and_again_at_any_moment(tiny: CollectConfig, tmp_path: Pat
     whole = collect(config, tmp_path / "whole").path
     rng, kills = np.random.default_rng(seed), 0
     while not (tmp_path / "log").exists():
-        process = start(config, tmp_path / "log")
-        try:
-            assert process.wait(3 + kills / 2 + 2 * rng.random()) == 0
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-            kills += 1
+        command = [sys.executable, "-c", script(), *words(config, tmp_path / "log")]
+        with started(command, stderr=subprocess.DEVNULL) as process:  # and killed when this is left
+            try:
+                assert process.wait(3 + kills / 2 + 2 * rng.random()) == 0
+            except subprocess.TimeoutExpired:
+                kills += 1
     assert kills >= 1
     assert artefacts.digest(tmp_path / "log") == artefacts.digest(whole)
 

@@ -2,10 +2,9 @@
 
 import json
 import os
-import subprocess
 import sys
 import textwrap
-import time
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -25,6 +24,7 @@ from gym_open.datasets.writing.sources import Episode
 from gym_open.errors import ArtefactError, ConfigError, UsageError
 from gym_open.formats.logs.reader import log_files, open_logs
 from gym_open.formats.logs.schemas import Segment
+from tests.children import run
 
 pytestmark = pytest.mark.usefixtures("no_figures")
 MakeLog = Callable[..., Path]
@@ -175,10 +175,8 @@ def test_plain_lerobot_loads_it_offline(release: Release, tmp_path: Path) -> Non
     offline = {"HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path / "hub"), "HF_DATASETS_OFFLINE": "1"}
     script, out = tmp_path / "load.py", tmp_path / "loaded.npz"
     script.write_text(textwrap.dedent(LEROBOT))
-    done = subprocess.run(
-        [sys.executable, str(script), str(release.root), str(out)],
-        env={**os.environ, **offline}, capture_output=True, text=True, check=False, cwd=tmp_path,
-    )  # fmt: skip
+    words = [sys.executable, script, release.root, out]
+    done = run(words, env={**os.environ, **offline}, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     loaded = np.load(out)
     images = release.images(range(len(release)))
@@ -213,14 +211,17 @@ def test_episodes_that_are_done_in_another_order_give_the_same_bytes(
     log: Path, release: Release, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     order: list[int] = []
+    another_is_done = threading.Event()
 
-    def slowest_first(episode: Episode, *, video: bool) -> Prepared:
-        time.sleep(0.02 * (5 - len(order) % 6))
-        made = prepare(episode)
-        order.append(episode.row["first_step"])
+    def first_after_another(episode: Episode, *, video: bool) -> Prepared:
+        made, first_step = prepare(episode), episode.row["first_step"]
+        if first_step == 0:
+            another_is_done.wait()
+        order.append(first_step)
+        another_is_done.set()
         return made
 
-    monkeypatch.setattr("gym_open.datasets.writing.writer.prepare", slowest_first)
+    monkeypatch.setattr("gym_open.datasets.writing.writer.prepare", first_after_another)
     again = build_release(CONFIG, [log], tmp_path / "r", workers=4)
     assert order != sorted(order)
     assert artefacts.digest(again.path) == release.digest

@@ -5,7 +5,6 @@ import importlib.util
 import json
 import os
 import shutil
-import subprocess
 import sys
 import textwrap
 from collections.abc import Callable, Iterator
@@ -21,6 +20,7 @@ from gym_open.datasets.config import ReleaseConfig
 from gym_open.datasets.hub import pull_release, push_release
 from gym_open.errors import ArtefactError, GymOpenError, UsageError
 from gym_open.files import lock
+from tests.children import python
 
 REPO = "someone/explore"
 
@@ -374,10 +374,7 @@ print(len(dataset), dataset[0]["observation.image"].shape[0])
 def test_lerobot_loads_what_was_pulled_and_finds_what_was_pushed(there: Hub, tmp_path: Path, pulled: bool) -> None:
     out = pull(tmp_path / "1.0.0", there) if pulled else tmp_path / "fetched by LeRobot"
     network = {"HF_HUB_OFFLINE": "1"} if pulled else {"HF_ENDPOINT": there.endpoint}
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(LOAD), str(out)],
-        env={**os.environ, "HF_HOME": str(tmp_path / "home"), **network}, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    done = python(textwrap.dedent(LOAD), out, env={**os.environ, "HF_HOME": str(tmp_path / "home"), **network})
     assert done.returncode == 0, done.stderr
     frames = json.loads(published(there, "v1.0.0")["meta/info.json"])["total_frames"]
     assert done.stdout.split() == [str(frames), "3"]

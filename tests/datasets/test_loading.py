@@ -4,8 +4,6 @@ import json
 import os
 import re
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,6 +14,7 @@ from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.formats.releases import open_release
 from gym_open.workspace import template
+from tests.children import python
 
 PAGE = template() / "docs/loading.md"
 SECTION = re.compile(r"^##+ ([^\n]+)\n(.*?)(?=^##|\Z)", re.MULTILINE | re.DOTALL)
@@ -130,11 +129,9 @@ Path("problems.json").write_text(json.dumps(problems))
 def run(code: str, cwd: Path) -> str:
     """What Python code prints in a process of its own: Hugging Face reads its settings when it is first imported."""
     home = {"HF_HOME": str(cwd / "hub"), "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=cwd, env={**os.environ, **home}, capture_output=True, check=False
-    )
-    assert done.returncode == 0, done.stderr.decode()
-    return done.stdout.decode()
+    done = python(code, cwd=cwd, env={**os.environ, **home})
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 @pytest.fixture(scope="module")

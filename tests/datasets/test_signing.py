@@ -1,7 +1,6 @@
 """A signature covers every byte of a release; model-signing itself accepts it, and nothing that was changed."""
 
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 from typing import NamedTuple
@@ -22,6 +21,7 @@ from gym_open import artefacts
 from gym_open.config import Config
 from gym_open.datasets.signing import check_signature, sign_release
 from gym_open.errors import ArtefactError, UsageError
+from tests.children import run
 
 
 class Keys(NamedTuple):
@@ -98,7 +98,7 @@ def test_model_signings_own_command_accepts_it_and_ours_accepts_its(
 ) -> None:
     command = [sys.executable, "-m", "model_signing", "verify", "key", str(copy)]
     options = ["--signature", str(copy / "signature.json"), "--public_key", str(keys.public)]
-    done = subprocess.run([*command, *options], capture_output=True, text=True, check=False)
+    done = run([*command, *options])
     assert (done.returncode, "succeeded" in done.stdout) == (0, True), done.stderr
     other = Path(shutil.copytree(unsigned, tmp_path / "other"))
     ignored = model_signing.hashing.Config().set_ignored_paths(paths=[other / "signature.json"])

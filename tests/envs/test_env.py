@@ -1,7 +1,5 @@
 """Rewards of each task by scripted play, what is told and shown, and options. What all tasks share: test_contract."""
 
-import subprocess
-import sys
 from typing import Any
 
 import gymnasium
@@ -19,6 +17,7 @@ from gym_open.envs.puzzles.generators import SandboxConfig, sample_puzzle
 from gym_open.envs.puzzles.sets import test_puzzles as fixed_puzzles
 from gym_open.envs.tasks import step_budget
 from gym_open.errors import ConfigError, UsageError
+from tests.children import python
 
 EAST, NORTH, WEST, SOUTH = 1, 3, 5, 7
 
@@ -45,8 +44,8 @@ def test_importing_registers_the_ids_and_loads_no_engine() -> None:
         "assert all(name in gymnasium.registry for name in gym_open.ENV_IDS.values())\n"
         "print(sorted({'mujoco', 'numba', 'torch', 'lerobot', 'rerun'} & set(sys.modules)))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+    done = python(code)
+    assert (done.stdout.strip(), done.stderr) == ("[]", "")
 
 
 def test_budgets_are_the_papers() -> None:

@@ -1,10 +1,10 @@
 """Machine code that is kept on disk is made anew when any compiled source changes."""
 
-import subprocess
 import sys
 from pathlib import Path
 
 from gym_open.envs import jit
+from tests import children
 
 CALLED = "from gym_open.envs.jit import compiled\n\n\n@compiled\ndef called():\n    return {}\n"
 CALLER = """\
@@ -23,7 +23,9 @@ print(caller())
 
 
 def run(folder: Path) -> str:
-    return subprocess.run([sys.executable, "caller.py"], cwd=folder, capture_output=True, text=True, check=True).stdout
+    done = children.run([sys.executable, "caller.py"], cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 def test_a_change_of_what_is_called_in_another_file_is_noticed(tmp_path: Path) -> None:

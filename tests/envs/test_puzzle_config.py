@@ -135,7 +135,7 @@ full_config = st.fixed_dictionaries(
 )
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(seed=st.integers(0, 2**32), config=full_config)
 def test_any_dictionary_is_met_exactly_or_refused(seed: int, config: dict) -> None:
     try:

@@ -60,7 +60,7 @@ def assert_well_laid(puzzle: Puzzle) -> None:
         assert rings[0] == 1  # the agent comes first, inside and off the ramp's foot
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seed=seeds, task=st.sampled_from(ALL_TASKS))
 def test_generated_layouts_keep_the_rules(seed: int, task: Task) -> None:
     puzzle = sample_puzzle(task, np.random.default_rng(seed))
@@ -70,7 +70,7 @@ def test_generated_layouts_keep_the_rules(seed: int, task: Task) -> None:
     assert sample_puzzle(task, np.random.default_rng(seed)) == puzzle
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=seeds)
 def test_recipes(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -93,7 +93,7 @@ def test_recipes(seed: int) -> None:
             assert cells_of(puzzle, "yellow")[0] not in puzzles.block(puzzle.pen.row, puzzle.pen.column, 2)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=seeds)
 def test_sandbox_goals_lie_near_the_agent_off_its_row_and_column(seed: int) -> None:
     config = SandboxConfig(yellow=(1, 3), green=(0, 2), radius=4, patch_probability=0.5, pen_probability=0.5)
@@ -228,7 +228,7 @@ requests = st.fixed_dictionaries(
 cells = st.tuples(st.integers(0, 15), st.integers(0, 8))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seed=seeds, share=st.floats(0, 1), request=requests, meshes=st.lists(st.sampled_from(["duck", "bunny-2"])))
 def test_any_request_is_met_or_refused(seed: int, share: float, request: dict, meshes: list[str]) -> None:
     config = SandboxConfig(**request, meshes=tuple(meshes), pen_probability=share, patch_probability=1 - share)
@@ -244,7 +244,7 @@ def test_any_request_is_met_or_refused(seed: int, share: float, request: dict, m
         assert len(cells_of(puzzle, f"mesh:{name}")) == meshes.count(name)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seed=seeds, agent=cells, yellow=st.lists(cells, max_size=3), pen=st.booleans(), patch=st.booleans())
 def test_fixed_cells_are_kept(
     seed: int, agent: tuple[int, int], yellow: list[tuple[int, int]], pen: bool, patch: bool

@@ -3,8 +3,6 @@
 import functools
 import os
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -27,6 +25,7 @@ from gym_open.errors import ArtefactError, ConfigError
 from gym_open.evaluate import a_success
 from gym_open.evaluate.human import LOG, HumanConfig, StoppedError, play_as_person
 from gym_open.formats.logs import open_log
+from tests.children import python
 
 TASK = "goal-seeking"
 
@@ -195,10 +194,7 @@ def test_without_a_screen_it_says_what_to_do(tmp_path: Path) -> None:
     )
     screens = {"DISPLAY", "WAYLAND_DISPLAY", "XDG_RUNTIME_DIR", "SDL_VIDEODRIVER"}
     bare = {name: value for name, value in os.environ.items() if name not in screens}
-    done = subprocess.run(
-        [sys.executable, "-c", code, tmp_path / "scores"],
-        check=False, capture_output=True, text=True, env=bare, timeout=60,
-    )  # fmt: skip
+    done = python(code, tmp_path / "scores", env=bare)
     assert done.returncode == 1
     assert "GymOpenError: no window can be opened: there is no screen; play on a machine with a screen" in done.stderr
 

@@ -5,7 +5,7 @@ import statistics as plain
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -33,7 +33,6 @@ def _rng() -> np.random.Generator:
 
 
 @given(st.lists(st.floats(0, 1), min_size=2, max_size=10))
-@settings(deadline=None)
 def test_the_deviation_is_that_of_a_sample(runs: list[float]) -> None:
     value, deviation = mean_and_deviation(runs)
     assert value == pytest.approx(plain.mean(runs))

@@ -7,16 +7,22 @@ import gymnasium
 import pytest
 
 from gym_open.remote.server import Server
+from tests.children import HANG_S
 
 Client = Callable[..., Any]
 
 
+@pytest.fixture(autouse=True)
+def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gym_open.remote.client._CLOSE_DEADLINE_S", HANG_S)
+
+
 @pytest.fixture(scope="session")
 def client() -> Client:
-    """Makes an environment that is on the server at a port."""
+    """Makes an environment that is on the server at a port. What waits until a deadline of its hangs."""
 
     def make(port: int, **changes: Any) -> Any:
-        given = {"env_ip": "127.0.0.1", "self_ip": "localhost", "port": port, "deadline_s": 20.0}
+        given = {"env_ip": "127.0.0.1", "self_ip": "localhost", "port": port, "deadline_s": HANG_S}
         return gymnasium.make("gym_open:open_puzzle_proc-v0", **{**given, **changes})
 
     return make

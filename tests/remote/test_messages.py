@@ -15,6 +15,7 @@ import gym_open
 from gym_open.errors import GymOpenError, UsageError
 from gym_open.remote import protocol as p
 from gym_open.remote.server import Server
+from tests.children import HANG_S
 
 Client = Callable[..., Any]
 TOKEN = "correct-horse-battery-staple"
@@ -23,7 +24,7 @@ TOKEN = "correct-horse-battery-staple"
 def raw(port: int, body: bytes, method: str = f"/{p.SERVICE}/{p.METHOD}", **options: Any) -> bytes:
     """Send bytes as they are, past the client."""
     with grpc.insecure_channel(f"127.0.0.1:{port}", [("grpc.max_send_message_length", -1)]) as channel:
-        return channel.unary_unary(method)(body, timeout=20, **options)
+        return channel.unary_unary(method)(body, timeout=HANG_S, **options)
 
 
 def refused_with(port: int, body: bytes, **options: Any) -> tuple[grpc.StatusCode, str]:

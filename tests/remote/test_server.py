@@ -6,11 +6,11 @@ import signal
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -21,35 +21,33 @@ from gym_open.errors import ConfigError, GymOpenError, UsageError
 from gym_open.remote import protocol as p
 from gym_open.remote.address import is_loopback, read_token
 from gym_open.remote.server import Server
+from tests.children import HANG_S, started
 
 Client = Callable[..., Any]
 
 TOKEN = "correct-horse-battery-staple"
 
 
-class Process:
+class Served(NamedTuple):
     """`serve` in a process of its own."""
 
-    def __init__(self, **arguments: Any) -> None:
-        code = f"from gym_open.remote.server import serve; serve(port=0, **{arguments!r})"
-        environment = {key: value for key, value in os.environ.items() if key != p.TOKEN_VARIABLE}
-        self.process = subprocess.Popen(
-            [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=environment
-        )
-        assert self.process.stdout
-        self.greeting = ""
-        for line in self.process.stdout:
-            self.greeting += line
+    process: subprocess.Popen[str]
+    greeting: str
+    port: int
+
+
+@contextmanager
+def serving(**arguments: Any) -> Iterator[Served]:
+    code = f"from gym_open.remote.server import serve; serve(port=0, **{arguments!r})"
+    environment = {key: value for key, value in os.environ.items() if key != p.TOKEN_VARIABLE}
+    with started([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=environment) as process:
+        assert process.stdout
+        greeting = ""
+        for line in process.stdout:
+            greeting += line
             if "Ctrl-C" in line:
                 break
-        self.port = int(re.findall(r":(\d+),", self.greeting)[0])
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.process.kill()
-        self.process.communicate()
+        yield Served(process, greeting, int(re.findall(r":(\d+),", greeting)[0]))
 
 
 def near(**changes: Any) -> Any:
@@ -218,10 +216,8 @@ def test_wrong_arguments_of_the_server_are_named(arguments: dict[str, Any], mess
 def test_without_a_server_the_error_says_where_and_what_to_do(client: Client) -> None:
     with Server("127.0.0.1", 0, None) as server:
         port = server.port
-    began = time.monotonic()
     with pytest.raises(GymOpenError, match=rf"no answer from the server at 127.0.0.1:{port}: .*start `gym-open serve`"):
         client(port)
-    assert time.monotonic() - began < 10
 
 
 def test_a_vanished_clients_place_is_freed(client: Client) -> None:
@@ -229,37 +225,36 @@ def test_a_vanished_clients_place_is_freed(client: Client) -> None:
         for place in server.sessions._places.values():
             place.used -= seconds
 
-    with Server("127.0.0.1", 0, None, clients=1, idle_s=500) as server:
+    with Server("127.0.0.1", 0, None, clients=1, idle_s=50_000) as server:
         gone = client(server.port)
         gone.add_change_puzzle(1, 1)
-        pass_time(400)
+        pass_time(40_000)
         with pytest.raises(UsageError, match="all 1 places are taken"):
             client(server.port)
         gone.step(1)  # used again
-        pass_time(400)
+        pass_time(40_000)
         with pytest.raises(UsageError, match="action"):
             gone.step(9)  # a refused call is a use, too
-        pass_time(400)
+        pass_time(40_000)
         gone.step(1)
-        pass_time(501)
+        pass_time(50_001)
         env = client(server.port)  # takes the unused place
         env.add_change_puzzle(1, 1)
-        with pytest.raises(UsageError, match=r"freed after 500 s without a call.* make the environment anew"):
+        with pytest.raises(UsageError, match=r"freed after 50000 s without a call.* make the environment anew"):
             gone.step(1)
         env.step(1)
-        pass_time(501)
+        pass_time(50_001)
         server.sessions.sweep()
         assert len(server.sessions) == 0
 
 
 def test_a_killed_server_ends_in_an_error_that_says_where_and_what_to_do(client: Client) -> None:
-    with Process() as server:
+    with serving() as server:
         env = client(server.port)
         env.add_change_puzzle(1, 1)
         env.step(1)
         server.process.send_signal(signal.SIGKILL)
         server.process.wait()
-        began = time.monotonic()
         for _ in range(2):
             with pytest.raises(
                 GymOpenError,
@@ -267,20 +262,21 @@ def test_a_killed_server_ends_in_an_error_that_says_where_and_what_to_do(client:
             ):
                 env.step(1)
         env.close()
-        assert time.monotonic() - began < 10
 
 
 def test_a_hanging_server_is_not_waited_for_and_a_stopped_one_ends_well(client: Client) -> None:
-    with Process(clients=1) as server:
-        env = client(server.port, deadline_s=2.0)
+    with serving(clients=1) as server:
+        env = client(server.port)
         env.add_change_puzzle(1, 1)
         server.process.send_signal(signal.SIGSTOP)
-        with pytest.raises(GymOpenError, match=rf"127.0.0.1:{server.port} did not answer within 2 s"):
+        env._session._deadline_s = 0.5
+        with pytest.raises(GymOpenError, match=rf"127.0.0.1:{server.port} did not answer within 0.5 s"):
             env.step(1)
+        env._session._deadline_s = HANG_S
         server.process.send_signal(signal.SIGCONT)
         env.step(1)
         server.process.send_signal(signal.SIGTERM)
-        output, _ = server.process.communicate(timeout=20)
+        output, _ = server.process.communicate()
         assert server.process.returncode == 0
         assert "gym-open serve: listening on 127.0.0.1:" in server.greeting
         assert f"env_ip='127.0.0.1', port={server.port})" in server.greeting

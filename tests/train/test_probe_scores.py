@@ -28,7 +28,7 @@ def test_r2_of_perfect_useless_and_worse_predictions() -> None:
         np.testing.assert_allclose(score.resampled, expected, atol=1e-12)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.lists(st.tuples(st.integers(0, 5), st.booleans()), min_size=2, max_size=30))
 def test_auc_is_mann_and_whitneys_u(cases: list[tuple[int, bool]]) -> None:
     found, labels = (np.array(column) for column in zip(*cases, strict=True))

@@ -23,6 +23,7 @@ from gym_open.formats.windows import Pictures
 from gym_open.train.config import EncoderTrainConfig
 from gym_open.train.encoder import _Trainer, train_encoder
 from gym_open.train.tensorboard import Board
+from tests.children import killed_at
 
 TINY = EncoderTrainConfig(
     updates=6, batch_size=8, report_every=4, encoder=EncoderConfig(features=16), icm=IcmConfig(hidden=8),
@@ -128,10 +129,8 @@ def test_large_releases_give_the_same_without_decoding_all(
     [pytest.param(one, marks=pytest.mark.slow if one.world_model != "icm" else ()) for one in MODELS],
     ids=[one.world_model for one in MODELS],
 )
-def test_killed_and_resumed_is_as_if_never_killed(
-    config: EncoderTrainConfig, release: Path, tmp_path: Path, kill_when: Callable[[str, Path], None]
-) -> None:
-    config = msgspec.structs.replace(config, updates=60, report_every=10)
+def test_killed_and_resumed_is_as_if_never_killed(config: EncoderTrainConfig, release: Path, tmp_path: Path) -> None:
+    config = msgspec.structs.replace(config, updates=9, report_every=3)
     whole = train_encoder(config, release, tmp_path / "whole").path
     cut = tmp_path / "cut"
     settings = msgspec.json.encode(config).decode()
@@ -140,7 +139,7 @@ def test_killed_and_resumed_is_as_if_never_killed(
         "from gym_open.train.encoder import train_encoder; "
         f"train_encoder(msgspec.json.decode({settings!r}, type=C), Path({str(release)!r}), Path({str(cut)!r}))"
     )
-    kill_when(code, tmp_path / ".cut.partial" / "checkpoint" / "state.safetensors")
+    killed_at(tmp_path / ".cut.partial" / "checkpoint", "state.safetensors", code)
     assert not cut.exists()
     assert artefacts.digest(train_encoder(config, release, cut).path) == artefacts.digest(whole)
 

@@ -1,7 +1,6 @@
 """PPO on a task: repeatable, resumable, right about the ends of episodes."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
@@ -25,6 +24,7 @@ from gym_open.train.config import EncoderTrainConfig, PolicyTrainConfig
 from gym_open.train.encoder import train_encoder
 from gym_open.train.policy import COLUMNS, _Trainer, train_policy
 from gym_open.train.tables import Tables
+from tests.children import killed_at
 
 NETWORK = EncoderConfig(features=16)
 TINY = PolicyTrainConfig(
@@ -125,8 +125,8 @@ def test_divergence_names_the_update_and_what_to_change(encoder: Path, tmp_path:
     assert not broken.exists()
 
 
-def test_killed_and_resumed_is_as_if_never_killed(tmp_path: Path, kill_when: Callable[[str, Path], None]) -> None:
-    config = msgspec.structs.replace(TINY, steps=16 * 25)
+def test_killed_and_resumed_is_as_if_never_killed(tmp_path: Path) -> None:
+    config = msgspec.structs.replace(TINY, steps=16 * 6)
     whole = train_policy(config, None, tmp_path / "whole").path
     cut = tmp_path / "cut"
     settings = msgspec.json.encode(config).decode()
@@ -135,7 +135,7 @@ def test_killed_and_resumed_is_as_if_never_killed(tmp_path: Path, kill_when: Cal
         "from gym_open.train.policy import train_policy; "
         f"train_policy(msgspec.json.decode({settings!r}, type=C), None, Path({str(cut)!r}))"
     )
-    kill_when(code, tmp_path / ".cut.partial" / "checkpoint" / "state.safetensors")
+    killed_at(tmp_path / ".cut.partial" / "checkpoint", "state.safetensors", code)
     assert not cut.exists()
     assert artefacts.digest(train_policy(config, None, cut).path) == artefacts.digest(whole)
 

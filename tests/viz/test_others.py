@@ -15,6 +15,7 @@ from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.formats.logs.reader import log_files, open_logs
 from gym_open.formats.releases import open_release
+from tests.children import python, run
 
 PROGRAM = [sys.executable, "-m", "rerun_cli"]
 
@@ -33,7 +34,8 @@ def log(make_log: Callable[..., Path]) -> Path:
 def test_reruns_own_loader_shows_pictures_figures_and_words(log: Path, tmp_path: Path) -> None:
     ((file,),) = log_files(log)
     words = [*PROGRAM, "mcap", "convert", str(file), "-o", str(tmp_path / "theirs.rrd")]
-    subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, check=True, timeout=60)
+    done = run(words, stdin=subprocess.DEVNULL)
+    assert done.returncode == 0, done.stderr
     theirs = rr.dataframe.load_recording(str(tmp_path / "theirs.rrd"))
     segments = list(open_logs(log)[0].segments())
 
@@ -70,13 +72,9 @@ visualize_dataset(LeRobotDataset("open/explore", root=root, episodes=[1]), 1, sa
 @pytest.mark.usefixtures("no_figures")
 def test_lerobots_viewer_shows_pictures_actions_and_the_agents_state(log: Path, tmp_path: Path) -> None:
     release = build_release(ReleaseConfig(max_episode_steps=256), [log], tmp_path / "release").path
-    subprocess.run(
-        [sys.executable, "-c", LEROBOT, str(release), str(tmp_path)],
-        check=True,
-        timeout=280,
-        capture_output=True,
-        env={**os.environ, "HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path / "hf")},
-    )
+    offline = {"HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path / "hf")}
+    done = python(LEROBOT, release, tmp_path, env={**os.environ, **offline})
+    assert done.returncode == 0, done.stderr
     theirs = rr.dataframe.load_recording(str(tmp_path / "open_explore_episode_1.rrd"))
     ours = open_release(release)
     first, stop = ours.episodes[["dataset_from_index", "dataset_to_index"]].to_numpy()[1].tolist()

@@ -8,7 +8,6 @@ import resource
 import signal
 import subprocess
 import sys
-import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -25,6 +24,7 @@ from gym_open.errors import ArtefactError, GymOpenError, UsageError
 from gym_open.viz import viewers
 from gym_open.viz.film import write_whole
 from gym_open.viz.view import View
+from tests.children import HANG_S, is_alive, started, until
 
 ROOT = Path(__file__).parents[2]
 STEPS, VALUES = np.arange(1000), np.sin(np.arange(1000) / 50)
@@ -49,6 +49,7 @@ def wave() -> View:
 
 def serve() -> None:
     """In a process of its own."""
+    viewers._PATIENCE = HANG_S
     viewers.web(wave())
 
 
@@ -130,6 +131,8 @@ def test_without_a_display_no_window_is_opened(monkeypatch: pytest.MonkeyPatch) 
     with pytest.raises(UsageError, match=r"DISPLAY is not set.*--save FILE\.rrd, --web"):
         viewers.native(wave())
     monkeypatch.setenv("DISPLAY", ":987")  # nobody's
+    monkeypatch.setattr(viewers, "_PATIENCE", HANG_S)
+    monkeypatch.setattr(viewers, "_GRACE", HANG_S)
     with pytest.raises(GymOpenError, match=r"Rerun's viewer ended \(Error: .*X server.*--save"):
         viewers.native(wave())
 
@@ -138,13 +141,10 @@ def test_without_a_display_no_window_is_opened(monkeypatch: pytest.MonkeyPatch) 
 def served() -> Iterator[tuple[subprocess.Popen[str], str]]:
     """A process that serves the wave, and the address that it prints."""
     words = [sys.executable, "-c", SERVE, str(ROOT), __file__]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, start_new_session=True) as process:
-        try:
-            assert process.stdout is not None
-            (address,) = re.findall(r"a wave is at (http://127\.0\.0\.1:[0-9]+)\n", process.stdout.readline())
-            yield process, address
-        finally:
-            process.kill()
+    with started(words, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        (address,) = re.findall(r"a wave is at (http://127\.0\.0\.1:[0-9]+)\n", process.stdout.readline())
+        yield process, address
 
 
 def children(parent: int) -> list[int]:
@@ -164,32 +164,25 @@ def listening(process: int) -> set[str]:
     return {line[1].split(":")[0] for line in lines if line[3] == "0A" and f"socket:[{line[9]}]" in sockets}
 
 
-def gone(process: int, within: float = 10.0) -> bool:
-    until = time.monotonic() + within
-    while Path(f"/proc/{process}").exists() and time.monotonic() < until:
-        time.sleep(0.05)
-    return not Path(f"/proc/{process}").exists()
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGKILL])
 def test_the_page_is_on_loopback_alone_and_no_child_is_left(
     served: tuple[subprocess.Popen[str], str], sign: signal.Signals
 ) -> None:
     process, address = served
-    with urllib.request.urlopen(address, timeout=30) as answer:
+    with urllib.request.urlopen(address, timeout=HANG_S) as answer:
         assert "Rerun" in answer.read().decode()
         allowed = answer.headers["Content-Security-Policy"]
     assert (
         set(re.findall(r"http://[^ ;]+", allowed)) == set(re.findall(r"http://127\.0\.0\.1:[0-9]+", allowed)) != set()
     )
     with pytest.raises(urllib.error.HTTPError, match="404"):
-        urllib.request.urlopen(f"{address}/../../etc/passwd", timeout=30)
+        urllib.request.urlopen(f"{address}/../../etc/passwd", timeout=HANG_S)
     (program,) = children(process.pid)
     assert listening(process.pid) | listening(program) == {"0100007F"}  # 127.0.0.1
     process.send_signal(sign)
-    assert process.wait(60) == (-sign if sign == signal.SIGKILL else 0)
-    assert gone(program)
+    assert process.wait() == (-sign if sign == signal.SIGKILL else 0)
+    until(lambda: not is_alive(program))
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ import http.server
 import socket
 import struct
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import closing
 
@@ -13,6 +12,7 @@ import pytest
 
 from gym_open.viz.viewers import free_port
 from gym_open.viz.web_page import LOOPBACK, Page
+from tests.children import HANG_S, until
 
 
 class Inner(http.server.BaseHTTPRequestHandler):
@@ -38,7 +38,7 @@ def page() -> Iterator[Page]:
 
 
 def status(page: Page, host: str | None = None, path: str = "/favicon.svg") -> int:
-    with closing(http.client.HTTPConnection(LOOPBACK, page.port, timeout=10)) as connection:
+    with closing(http.client.HTTPConnection(LOOPBACK, page.port, timeout=HANG_S)) as connection:
         connection.request("GET", path, headers={"Host": host} if host else {})
         return connection.getresponse().status
 
@@ -60,8 +60,8 @@ def test_a_tab_that_closes_is_no_error(page: Page, capsys: pytest.CaptureFixture
     with socket.create_connection((LOOPBACK, page.port)) as browser:
         browser.sendall(b"GET /favicon.svg HTTP/1.0\r\nHost: localhost\r\n\r\n")
         browser.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # cuts the connection
-    time.sleep(0.2)
     assert status(page) == 200
+    until(lambda: not [one for one in threading.enumerate() if "process_request" in one.name])
     assert capsys.readouterr().err == ""
 
 

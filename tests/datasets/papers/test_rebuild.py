@@ -2,10 +2,10 @@
 
 import os
 import shutil
-import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from subprocess import CompletedProcess
 
 import pytest
 
@@ -17,6 +17,7 @@ from gym_open.datasets.config import FilterConfig, MergeConfig, ReleaseConfig
 from gym_open.datasets.papers.facts import LogFacts
 from gym_open.datasets.papers.rebuild import rebuild_files
 from gym_open.formats.releases.content import payload_digest
+from tests import children
 
 COLLECTED = {"steps": 64, "streams": 1, "seed": 3, "explorer": {"ppo": {"target_kl": None}}, "curriculum": {}}
 LOG = LogFacts(0, 0, "random", {**COLLECTED, "sandbox": {}, "log": {}}, 1, 64)
@@ -68,16 +69,14 @@ def test_commands(release: Release, tmp_path: Path) -> None:
     for number, files in enumerate((build, append, merge)):
         script = tmp_path / f"{number}.sh"
         script.write_bytes(files["rebuild.sh"])
-        subprocess.run(["sh", "-n", script], check=True)
+        assert children.run(["sh", "-n", script]).returncode == 0
 
 
-def run(folder: Path, **more: str) -> subprocess.CompletedProcess[str]:
+def run(folder: Path, **more: str) -> CompletedProcess[str]:
     """The script of a release, in a folder of its own, with this Python's commands."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     env = {**os.environ, "PATH": path, "PYTHON": sys.executable, "OMP_NUM_THREADS": "1", **more}
-    return subprocess.run(
-        ["sh", folder / "rebuild/rebuild.sh"], cwd=folder.parent, env=env, capture_output=True, text=True, check=False
-    )
+    return children.run(["sh", folder / "rebuild/rebuild.sh"], cwd=folder.parent, env=env)
 
 
 def test_a_parent_that_is_another_is_refused(release: Release, tmp_path: Path) -> None:

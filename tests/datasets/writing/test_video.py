@@ -1,7 +1,6 @@
 """Video in LeRobot's layout: every frame where it is looked for, its error measured, the same bytes again."""
 
 import os
-import subprocess
 import sys
 import textwrap
 from collections.abc import Callable
@@ -17,6 +16,7 @@ from gym_open.datasets import Release, open_release
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.datasets.writing.video import VideoFile, decode_clip, encode_clip, pixel_error
+from tests.children import run
 
 pytestmark = pytest.mark.usefixtures("no_figures")
 MakeLog = Callable[..., Path]
@@ -156,10 +156,8 @@ def test_plain_lerobot_decodes_the_logged_pixels(release: Release, tmp_path: Pat
     offline = {"HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path / "hub"), "HF_DATASETS_OFFLINE": "1"}
     script, out = tmp_path / "load.py", tmp_path / "loaded.npy"
     script.write_text(textwrap.dedent(LEROBOT))
-    done = subprocess.run(
-        [sys.executable, str(script), str(release.root), str(out)],
-        env={**os.environ, **offline}, capture_output=True, text=True, check=False, cwd=tmp_path,
-    )  # fmt: skip
+    words = [sys.executable, script, release.root, out]
+    done = run(words, env={**os.environ, **offline}, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     loaded = np.round(np.load(out) * 255).astype(np.uint8).transpose(0, 1, 3, 4, 2)
     images = release.images(range(len(release)))

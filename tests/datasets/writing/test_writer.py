@@ -1,10 +1,8 @@
 """A build that is killed goes on: finished data files stay, nothing in them is coded again, the bytes are the same."""
 
 import json
-import os
 import shutil
 import signal
-import subprocess
 import sys
 import textwrap
 from collections.abc import Callable, Iterator
@@ -24,6 +22,7 @@ from gym_open.datasets.writing.prepare import Prepared, prepare
 from gym_open.datasets.writing.sources import Episode, Play, episodes_of_logs, episodes_of_release
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases.info import read_info
+from tests.children import run
 
 pytestmark = pytest.mark.usefixtures("no_figures")
 MakeLog = Callable[..., Path]
@@ -153,7 +152,7 @@ build_release(config, [Path(sys.argv[1])], Path(sys.argv[2]), workers=2)
 def test_a_killed_process_loses_nothing_that_was_finished(log: Path, release: Release, tmp_path: Path) -> None:
     script, out = tmp_path / "killed.py", tmp_path / "release"
     script.write_text(textwrap.dedent(KILLED))
-    done = subprocess.run([sys.executable, str(script), str(log), str(out)], env=dict(os.environ), check=False)
+    done = run([sys.executable, script, log, out])
     assert done.returncode == -signal.SIGKILL
     assert not out.exists()
     assert list((tmp_path / ".release.partial").glob("checkpoint/parts/train-000.json"))

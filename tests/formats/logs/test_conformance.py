@@ -3,7 +3,6 @@
 import json
 import runpy
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import pytest
 
 from gym_open.formats.logs import open_log
 from gym_open.formats.logs import schemas as log_schemas
+from tests.children import run
 
 PAIR = Path(__file__).parent / "conformance"
 PACKAGES = ("@mcap/core@2.2.2", "@foxglove/rosmsg@5.0.5", "@foxglove/rosmsg2-serialization@3.1.0", "fzstd@0.1.1")
@@ -82,7 +82,8 @@ def test_rerun_shows_its_pictures_plots_and_events(tmp_path: Path) -> None:
 
     program = str(Path(sys.executable).with_name("rerun"))
     save = [program, str(PAIR / "small.mcap"), "--save", str(tmp_path / "x.rrd"), "--port", "0"]
-    subprocess.run(save, check=True, capture_output=True, timeout=60)
+    done = run(save)
+    assert done.returncode == 0, done.stderr
     recording = rerun.dataframe.load_recording(tmp_path / "x.rrd")
 
     def column(place: str, name: str) -> list[Any]:
@@ -116,7 +117,7 @@ def test_another_implementation_of_mcap_reads_it(said: dict[str, Any], tmp_path:
     """In JavaScript: @mcap/core for the container, Foxglove's decoder for the messages."""
     shutil.copy(PAIR / "read.mjs", tmp_path)
     install = ["npm", "install", "--no-audit", "--no-fund", "--ignore-scripts", *PACKAGES]
-    subprocess.run(install, cwd=tmp_path, check=True, capture_output=True, timeout=240)
-    read = ["node", "read.mjs", str(PAIR / "small.mcap")]
-    result = subprocess.run(read, cwd=tmp_path, check=True, capture_output=True, timeout=60)
-    assert json.loads(result.stdout) == said
+    done = run(install, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    read = run(["node", "read.mjs", PAIR / "small.mcap"], cwd=tmp_path)
+    assert json.loads(read.stdout) == said, read.stderr

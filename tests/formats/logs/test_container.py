@@ -23,7 +23,7 @@ from gym_open.formats.logs.container import Logged, read_contents, whole_chunks
 from gym_open.formats.logs.reader import open_log
 from gym_open.formats.logs.schemas import LogError
 
-FIXTURES = [HealthCheck.function_scoped_fixture]
+FIXTURES = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +72,7 @@ def test_a_log_written_by_the_mcap_package_is_read(whole: Path, tmp_path: Path) 
     assert [len(segment.actions) for segment in log.segments()] == [4, 3, 2]
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=FIXTURES)
+@settings(max_examples=60, suppress_health_check=FIXTURES)
 @given(st.data())
 def test_a_log_cut_anywhere_is_refused(whole: Path, tmp_path: Path, data: st.DataObject) -> None:
     raw = whole.read_bytes()
@@ -82,7 +82,7 @@ def test_a_log_cut_anywhere_is_refused(whole: Path, tmp_path: Path, data: st.Dat
         open_log(path)
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=FIXTURES)
+@settings(max_examples=150, suppress_health_check=FIXTURES)
 @given(st.data())
 def test_a_changed_byte_anywhere_is_found(whole: Path, tmp_path: Path, data: st.DataObject) -> None:
     raw = bytearray(whole.read_bytes())
@@ -352,7 +352,7 @@ def test_messages_outside_of_chunks_are_refused(tmp_path: Path) -> None:
         read_contents(path)
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=FIXTURES)
+@settings(max_examples=100, suppress_health_check=FIXTURES)
 @given(st.data())
 def test_nonsense_in_messages_is_a_log_error_if_anything(whole: Path, tmp_path: Path, data: st.DataObject) -> None:
     """Bytes of a message are changed and every CRC made right again, as someone with bad intent would."""

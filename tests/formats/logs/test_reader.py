@@ -126,7 +126,7 @@ def assert_pieces_of(whole: Segment, pieces: list[Segment], max_steps: int) -> N
     assert start == length
 
 
-@settings(max_examples=14, deadline=None)
+@settings(max_examples=14)
 @given(max_steps=st.integers(1, 14), parts=st.booleans())
 def test_pieces_make_up_the_segments(whole: Path, rolled: list[Path], max_steps: int, parts: bool) -> None:
     """Whatever their length, from one file or from many."""

@@ -26,7 +26,7 @@ from gym_open.formats.logs.reader import open_log
 from gym_open.formats.logs.repair import Repair, repair
 from gym_open.formats.logs.schemas import IMAGE, METRICS, SEGMENTATION, STEP, LogError, Segment, StepRecord, Switch
 
-FIXTURES = [HealthCheck.function_scoped_fixture]
+FIXTURES = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +86,7 @@ def assert_beginning(found: list[Segment], expected: list[Segment]) -> None:
         assert one.ended == (other.ended if n == len(other.actions) and i + 1 < len(found) else one.ended)
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=FIXTURES)
+@settings(max_examples=40, suppress_health_check=FIXTURES)
 @given(st.data())
 def test_a_log_cut_anywhere_is_saved_up_to_its_last_whole_step(
     whole: Path, tmp_path: Path, data: st.DataObject
@@ -118,7 +118,7 @@ def test_a_log_cut_anywhere_is_saved_up_to_its_last_whole_step(
         assert end.world_losses == losses
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=FIXTURES)
+@settings(max_examples=40, suppress_health_check=FIXTURES)
 @given(st.data())
 def test_of_a_log_with_a_changed_byte_nothing_wrong_is_saved(whole: Path, tmp_path: Path, data: st.DataObject) -> None:
     """And all that lies before it is."""

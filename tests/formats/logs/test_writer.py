@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from queue import Queue
 from typing import Any
 
 import msgspec
@@ -21,6 +22,7 @@ from gym_open.formats.logs.messages import messages_of
 from gym_open.formats.logs.resume import resume_writer
 from gym_open.formats.logs.schemas import LogError, Record, SegmentStart, StepRecord
 from gym_open.formats.logs.writer import LogWriter
+from tests.children import until
 
 
 def read(paths: list[Path]) -> list[Logged]:
@@ -95,11 +97,18 @@ def test_a_slow_disk_makes_the_player_wait_and_loses_nothing(
     write = log_mcap.McapWriter.message
 
     def stalled(*arguments: Any) -> None:
-        assert works_again.wait(60)
+        works_again.wait()
         write(*arguments)
 
+    class Watched(Queue):
+        def put(self, *arguments: Any, **options: Any) -> None:
+            nonlocal waits
+            waits = self.full()  # nobody takes anything from it yet
+            super().put(*arguments, **options)
+
     monkeypatch.setattr(log_mcap.McapWriter, "message", stalled)
-    records, taken = made_up.records(steps=3), list[Record]()
+    monkeypatch.setattr(log_writer, "Queue", Watched)
+    records, taken, waits = made_up.records(steps=3), list[Record](), False
 
     def play() -> None:
         with LogWriter(tmp_path, made_up.head) as writer:
@@ -107,15 +116,13 @@ def test_a_slow_disk_makes_the_player_wait_and_loses_nothing(
                 made_up.put(writer, record)
                 taken.append(record)
 
-    player = threading.Thread(target=play)
+    player = threading.Thread(target=play, daemon=True)
     player.start()
-    before = -1
-    while before != len(taken):  # until it stands still
-        before = len(taken)
-        time.sleep(0.2)
-    assert 0 < before <= 2 * (1 + 3 + 1)  # one batch being written, three waiting, one being handed over
+    until(lambda: waits or not player.is_alive())
+    before = len(taken)
     works_again.set()
-    player.join(60)
+    player.join()
+    assert 0 < before <= 2 * (1 + 3 + 1)  # one batch being written, three waiting, one being handed over
     assert read(sorted(tmp_path.iterdir())) == expected(made_up, records)
 
 
