@@ -1,11 +1,13 @@
 """The image encoder: centred, scaled pixels through the paper's three-layer CNN, or through a deeper one."""
 
 from collections.abc import Callable
+from typing import cast
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
+from gym_open.agents import convolve
 from gym_open.agents.augment import no_shifts, shift_each
 from gym_open.agents.config import EncoderConfig
 from gym_open.agents.impala import impala
@@ -21,12 +23,28 @@ def autocast(precision: PrecisionSetting, device: str = "cpu") -> torch.autocast
     return torch.autocast(device, torch.bfloat16, enabled=resolve(precision, device) == "bf16")
 
 
+class Convolutions(nn.Sequential):
+    """The layers that `convolutions` makes; the first six in one go where they compute in fp32 on a CPU."""
+
+    def forward(self, input: Tensor) -> Tensor:  # noqa: A002  (its name in PyTorch)
+        """(B, 3, 84, 84) to (B, features)."""
+        layers = list(self)
+        three = cast("list[nn.Conv2d]", layers[:6:2])
+        if not convolve.suits(three, input):
+            return super().forward(input)
+        features = convolve.three_layers(input, three, getattr(layers[1], "negative_slope", 0.0))
+        for layer in layers[7:]:  # after `nn.Flatten`
+            features = layer(features)
+        return features
+
+
 def convolutions(features: int, activation: Callable[[], nn.Module], generator: torch.Generator) -> nn.Sequential:
     """The network of Mnih et al. 2015: convolutions 32 8×8/4, 64 4×4/2, 64 3×3/1, then a linear layer of `features`.
 
-    It maps (B, 3, 84, 84) to (B, features), with `activation` between the layers, not after the last.
+    It maps (B, 3, 84, 84) to (B, features), with `activation`, `nn.ReLU` or `nn.LeakyReLU`, between the layers, not
+    after the last.
     """
-    layers = nn.Sequential(
+    layers = Convolutions(
         nn.Conv2d(IMAGE_SHAPE[2], 32, kernel_size=8, stride=4), activation(),
         nn.Conv2d(32, 64, kernel_size=4, stride=2), activation(),
         nn.Conv2d(64, 64, kernel_size=3, stride=1), activation(),

@@ -29,7 +29,8 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
         dispatcher = _compile(function)
     # Numba makes it anew when the function's own file changes. But what it calls in other files is in it, too, and what
     # was kept cannot even be read once a type in it has moved. Another version is left unread, and overwritten.
-    dispatcher._cache._cache_file._version = f"{numba.__version__} {source_digest(Path(__file__).parent)}"  # noqa: SLF001
+    digests = [source_digest(folder) for folder in (Path(__file__).parent, Path(function.__code__.co_filename).parent)]
+    dispatcher._cache._cache_file._version = " ".join([numba.__version__, *digests])  # noqa: SLF001
     return dispatcher
 
 
