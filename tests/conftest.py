@@ -1,5 +1,7 @@
 """A small hand-made log artefact, for whatever reads logs: pictures and figures are drawn at random, not simulated."""
 
+import os
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -14,6 +16,15 @@ from gym_open.config import Config
 
 settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any machine")  # no test fails because a machine is slow
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Where Python is told to keep no bytecode, each of many processes would compile PyTorch anew: share it here."""
+    if sys.dont_write_bytecode and config.cache is not None:
+        sys.dont_write_bytecode, sys.pycache_prefix = False, str(config.cache.mkdir("bytecode"))
+        os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+        os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix  # of xdist's processes and of tests' children
+
 
 PARKED = ("green_2", "heavy_11", "light_0")
 """Objects that no puzzle of the log uses."""

@@ -12,6 +12,7 @@ from gym_open.agents.encoder import Encoder, autocast
 from gym_open.agents.icm import Icm
 from gym_open.agents.world_model import Transitions, WorldModel
 from gym_open.agents.world_models import WORLD_MODELS
+from gym_open.precision import native_precision
 
 RandomPlay = Callable[[int, int], Transitions]
 
@@ -38,7 +39,7 @@ def learned(
     for _ in range(n_updates):
         chosen = torch.randint(len(train.obs), (64,), generator=draws)
         batch = Transitions(train.obs[chosen], train.actions[chosen], train.next_obs[chosen])
-        with autocast("bf16"):
+        with autocast(native_precision()):
             objective = model.loss(batch, draw_shifts(64, 4, draws), draws)
         optimizer.zero_grad()
         objective.backward()
