@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 import torch
 
 from gym_open.agents.augment import draw_shifts, no_shifts
@@ -87,6 +88,7 @@ def test_key_network_gets_no_gradient_and_encoder_does(pictures: Pictures) -> No
     assert all(parameter.grad is not None for parameter in model.encoder.parameters())
 
 
+@pytest.mark.learning
 def test_curl_learns_to_tell_pictures_apart(pictures: Pictures) -> None:
     model, images, generator = curl(), pictures(16), torch.Generator().manual_seed(0)
     optimizer = torch.optim.Adam([p for p in model.parameters() if p.requires_grad], lr=1e-3)

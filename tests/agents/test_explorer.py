@@ -197,6 +197,7 @@ def test_the_loss_of_a_world_is_the_models_times_its_scale(model: WorldModelName
     np.testing.assert_allclose(found, 0.25 * raw, rtol=1e-6)
 
 
+@pytest.mark.learning
 @pytest.mark.parametrize("model", WORLD_MODELS)
 def test_the_world_model_learns_a_fixed_rollout(model: WorldModelName, seen: Tensor) -> None:
     one = explorer(model)
@@ -215,6 +216,7 @@ def test_the_world_model_learns_a_fixed_rollout(model: WorldModelName, seen: Ten
     assert loss() < 0.7 * before
 
 
+@pytest.mark.learning
 def test_the_policy_learns_to_have_impact(pictures: Pictures) -> None:
     """In a world where action 3 changes everything and the others nothing, action 3 becomes the likely one."""
     one = explorer()

@@ -14,6 +14,7 @@ from gym_open.agents.world_model import Transitions, WorldModel
 from gym_open.agents.world_models import WORLD_MODELS
 from gym_open.precision import native_precision
 
+pytestmark = pytest.mark.learning
 RandomPlay = Callable[[int, int], Transitions]
 
 

@@ -178,6 +178,7 @@ QUICK = PPOConfig(learning_rate=1.5e-3, minibatch_size=32, update_epochs=2, shif
 EMULATED = () if native_precision() == "bf16" else pytest.mark.slow
 
 
+@pytest.mark.learning
 @pytest.mark.parametrize("precision", ["fp32", pytest.param("bf16", marks=EMULATED)])
 def test_ppo_solves_a_trivial_problem(precision: str) -> None:
     _, shares = train_bandit(12, msgspec.structs.replace(QUICK, precision=precision))

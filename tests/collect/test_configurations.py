@@ -46,6 +46,7 @@ def test_all_of_the_papers_explorers_are_there_and_play_alike() -> None:
         assert one.explorer.share_encoder
 
 
+@pytest.mark.learning
 @pytest.mark.usefixtures("scripted", "no_picture")
 @pytest.mark.parametrize("name", NAMES)
 def test_an_explorer_logs_sums_up_and_goes_on(tiny: CollectConfig, tmp_path: Path, stop_before: Any, name: str) -> None:

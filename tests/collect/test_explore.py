@@ -25,7 +25,7 @@ from gym_open.formats.logs import Log, Segment, log_files, open_log
 from gym_open.formats.models import load_encoder
 from gym_open.precision import native_precision
 
-pytestmark = pytest.mark.usefixtures("scripted")
+pytestmark = [pytest.mark.learning, pytest.mark.usefixtures("scripted")]
 
 
 def changed(config: CollectConfig, **values: Any) -> CollectConfig:

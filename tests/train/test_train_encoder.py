@@ -25,6 +25,7 @@ from gym_open.train.encoder import _Trainer, train_encoder
 from gym_open.train.tensorboard import Board
 from tests.children import killed_at
 
+pytestmark = pytest.mark.learning
 TINY = EncoderTrainConfig(
     updates=6, batch_size=8, report_every=4, encoder=EncoderConfig(features=16), icm=IcmConfig(hidden=8),
     rnd=RndConfig(hidden=8, outputs=8), curl=CurlConfig(latent=8), threads=1,

@@ -26,6 +26,7 @@ from gym_open.train.policy import COLUMNS, _Trainer, train_policy
 from gym_open.train.tables import Tables
 from tests.children import killed_at
 
+pytestmark = pytest.mark.learning
 NETWORK = EncoderConfig(features=16)
 TINY = PolicyTrainConfig(
     steps=40, num_envs=2, num_steps=8, mean_images=3, encoder=NETWORK, threads=1,
