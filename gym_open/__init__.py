@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import gymnasium
 
+from gym_open import extras
+
 if TYPE_CHECKING:
     from gym_open.agents.encoder import Encoder
 
@@ -49,6 +51,8 @@ def load_encoder(path: Path | str) -> "Encoder":
 
     Raises:
         ArtefactError: if a file is missing or damaged, or a tensor is not what the architecture says.
+        MissingExtraError: if torch is not installed.
     """
+    extras.check("train")
     # By name, since every room imports this package, and none may import the rooms above it.
     return import_module("gym_open.formats.models").load_encoder(Path(path))

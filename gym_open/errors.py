@@ -15,6 +15,10 @@ class UsageError(GymOpenError):
     exit_code: ClassVar[int] = 2
 
 
+class MissingExtraError(UsageError, ModuleNotFoundError):
+    """A package that only some parts of gym-open need is not installed; `name` is its module."""
+
+
 class ConfigError(UsageError):
     """A configuration holds an unknown, ill-typed or out-of-range value."""
 

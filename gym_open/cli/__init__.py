@@ -14,6 +14,7 @@ from typing import Any, get_type_hints
 import tyro
 
 import gym_open
+from gym_open import extras
 from gym_open.cli import datasets, logs, results, stages, viz, world
 from gym_open.cli.base import Command
 from gym_open.config import check, load
@@ -56,6 +57,23 @@ COMMANDS: dict[str, type[Command]] = {
     "serve": world.Serve,
 }
 
+_NEEDS: dict[str, tuple[str, ...]] = {
+    "run": ("train", "viz"),
+    "collect": ("train",),
+    "log": ("releases",),
+    "dataset": ("releases",),
+    "train": ("train",),
+    "encoder": ("train",),
+    "evaluate": ("releases",),
+    "score": ("releases",),
+    "benchmark": ("train",),
+    "report": ("releases",),
+    "viz": ("releases",),
+    "render": ("releases",),
+    "play": ("play",),
+    "serve": ("remote",),
+}
+"""Extras without which nothing can be started, by the first word of a command. Some options need more."""
 _GOES_ON = "; the same command goes on from the last checkpoint"
 _FLAGS = (tyro.conf.FlagCreatePairsOff,)
 """No `--no-…` beside each option that is on or off."""
@@ -79,7 +97,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(name: str, words: list[str]) -> int:
     try:
         check_backend()
-        _parse(name, words).run()
+        command = _parse(name, words)
+        extras.check(*_NEEDS.get(name.split(maxsplit=1)[0], ()))
+        with extras.Named():
+            command.run()
     except GymOpenError as error:
         print(f"error: {printable(str(error))}", file=sys.stderr)
         return error.exit_code

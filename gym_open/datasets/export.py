@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.lib import format as npy
 
-from gym_open import progress
-from gym_open.errors import GymOpenError, UsageError
+from gym_open import extras, progress
+from gym_open.errors import UsageError
 from gym_open.files import unwritable
 from gym_open.formats.releases import IMAGE, Release, open_release
 from gym_open.formats.releases.features import numeric
@@ -96,15 +96,14 @@ def export_minari(root: Path, split: str, out: Path, dataset_id: str) -> Path:
     Raises:
         ArtefactError: if the release is damaged.
         UsageError: if there is no such split, the data set is there, or the id is none of Minari's.
-        GymOpenError: if Minari is not installed.
+        MissingExtraError: if Minari is not installed.
     """
-    try:
-        import minari
-        from minari.dataset.minari_dataset import parse_dataset_id
-        from minari.dataset.minari_storage import MinariStorage
-        from minari.namespace import NAMESPACE_METADATA_FILENAME
-    except ImportError:
-        raise GymOpenError("exports to Minari need minari with HDF5: pip install 'gym-open[minari]'") from None
+    extras.check("minari")
+    import minari
+    from minari.dataset.minari_dataset import parse_dataset_id
+    from minari.dataset.minari_storage import MinariStorage
+    from minari.namespace import NAMESPACE_METADATA_FILENAME
+
     try:
         namespace = parse_dataset_id(dataset_id)[0]
     except ValueError as error:

@@ -10,9 +10,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gym_open import artefacts
+from gym_open import artefacts, extras
 from gym_open.artefacts import MAX_SIGNATURE_BYTES, SIGNATURE
-from gym_open.errors import ArtefactError, GymOpenError, UsageError
+from gym_open.errors import ArtefactError, UsageError
 from gym_open.files import write_atomically
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def sign_release(root: Path, key: Path) -> Path:
     Raises:
         ArtefactError: if the release is damaged.
         UsageError: if the key is missing or of another kind.
-        GymOpenError: if model-signing is not installed.
+        MissingExtraError: if model-signing is not installed.
     """
     signing, hashing = _library()
     artefacts.verify(root, "release")
@@ -63,7 +63,7 @@ def check_signature(root: Path, key: Path | None) -> str:
         ArtefactError: if there is a key and no signature, the signature is of another key or of other bytes, or it is
             no sigstore bundle.
         UsageError: if the key is missing or of another kind.
-        GymOpenError: if there is a key and model-signing is not installed.
+        MissingExtraError: if there is a key and model-signing is not installed.
     """
     path = root / SIGNATURE
     if path.is_file() and path.stat().st_size > MAX_SIGNATURE_BYTES:
@@ -87,10 +87,9 @@ def check_signature(root: Path, key: Path | None) -> str:
 
 
 def _library() -> "tuple[Any, Hashing]":
-    try:
-        import model_signing
-    except ImportError:
-        raise GymOpenError("signatures need model-signing: pip install 'gym-open[sign]'") from None
+    extras.check("sign")
+    import model_signing
+
     hashing = model_signing.hashing.Config().set_ignored_paths(paths=[SIGNATURE], ignore_git_paths=False)
     return model_signing, hashing
 

@@ -11,6 +11,7 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
+from gym_open import extras
 from gym_open.envs import constants as c
 from gym_open.errors import UsageError
 from gym_open.remote.address import check_host, check_port, is_loopback
@@ -125,6 +126,7 @@ class OpenPuzzleEnv(gymnasium.Env[Observation, np.int64]):
 def _session(env_ip: str | None, port: int | None, *, debug: bool, deadline_s: float) -> "Session | RemoteSession":
     if port is None and (env_ip is None or is_loopback(env_ip)):
         return Session(debug=debug)
+    extras.check("remote")
     from gym_open.remote.client import RemoteSession  # gRPC is not needed in this process
 
     return RemoteSession(env_ip or "localhost", port or DEFAULT_PORT, debug=debug, deadline_s=deadline_s)

@@ -58,10 +58,10 @@ def save(view: View, path: Path) -> Path:
         raise unwritable(path, error) from None
     with interruptible():
         try:
-            _stream(view, lambda rec: rec.save(beside))
+            beside.write_bytes(_recorded(view))
             return beside.replace(path)
-        except (_LostError, OSError) as error:
-            raise unwritable(path, error if isinstance(error, OSError) else OSError(str(error))) from None
+        except OSError as error:
+            raise unwritable(path, error) from None
         finally:
             beside.unlink(missing_ok=True)
 
@@ -100,8 +100,18 @@ def web(view: View) -> None:
         program.show(view, then="  all of it is there")
 
 
+def _recorded(view: View) -> bytes:
+    """The view as the bytes of a recording. Rerun's own writer of files (0.41) can wait for ever on a full disk."""
+    streams: list[rr.BinaryStream] = []
+    try:
+        _stream(view, lambda rec: streams.append(rec.binary_stream()))
+    finally:  # what is not read, it warns of
+        data = streams[0].read(flush=False) if streams else None
+    return data or b""
+
+
 class _LostError(Exception):
-    """What was written could not be, or not be sent."""
+    """What was written could not be sent."""
 
 
 def _stream(view: View, connect: Callable[[rr.RecordingStream], None]) -> None:

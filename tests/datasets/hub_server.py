@@ -55,6 +55,8 @@ class Hub:
     """What the hub holds, and how it misbehaves."""
 
     endpoint: str = ""
+    elsewhere: str = ""
+    """Address of the large files: the client follows a redirect to the hub itself before it reads the headers."""
     repos: dict[str, Repo] = field(default_factory=dict)
     objects: dict[str, bytes] = field(default_factory=dict)
     asked: list[str] = field(default_factory=list)
@@ -257,7 +259,7 @@ class Handler(BaseHTTPRequestHandler):
         digest = sha256(data)
         self.hub.objects.setdefault(digest, data)
         headers |= {"X-Linked-Etag": f'"{digest}"', "X-Linked-Size": str(len(data))}
-        return self._send(302, b"", headers | {"Location": f"{self.hub.endpoint}/cdn/{digest}/{path}"})
+        return self._send(302, b"", headers | {"Location": f"{self.hub.elsewhere}/cdn/{digest}/{path}"})
 
     def on_cdn(self, oid: str, path: str) -> None:
         self._file(path, self.hub.objects[oid], {"ETag": f'"{oid}"'})
@@ -278,6 +280,7 @@ def serve() -> Iterator[Hub]:
     handler = type("Handler", (Handler,), {"hub": hub})
     with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
         hub.endpoint = f"http://127.0.0.1:{server.server_address[1]}"
+        hub.elsewhere = f"http://localhost:{server.server_address[1]}"
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
         thread.start()
         try:

@@ -5,9 +5,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pytest
-import rerun as rr
+from rerun.chunk import RrdReader
 
 from gym_open import artefacts
 from gym_open.config import Config
@@ -17,19 +16,20 @@ class Recording:
     """A recording read back, a column at a time."""
 
     def __init__(self, path: Path) -> None:
-        self._recording = rr.dataframe.load_recording(str(path))
+        reader = RrdReader(path)
+        (self.store,) = reader.recordings()
+        self._chunks = reader.stream().collect()
 
     def entities(self) -> set[str]:
-        return {str(column.entity_path) for column in self._recording.schema().component_columns()}
+        return {str(column.entity_path) for column in self._chunks.schema().component_columns()}
 
     def timelines(self) -> set[str]:
-        return {column.name for column in self._recording.schema().index_columns()}
+        return {column.name for column in self._chunks.schema().index_columns()}
 
     def column(self, entity: str, component: str, index: str = "step") -> tuple[list[Any], list[Any]]:
         """Times and values at which the component of the entity was logged."""
-        view = self._recording.view(index=index, contents=entity)
-        table = view.select(index, f"{entity}:{component}").read_all()
-        times, values = table.column(0).to_pylist(), table.column(1).to_pylist()
+        table = self._chunks.reader(index=index, contents=entity).to_arrow_table().sort_by(index)
+        times, values = table.column(index).to_pylist(), table.column(f"{entity}:{component}").to_pylist()
         kept = [(time, value) for time, value in zip(times, values, strict=True) if value is not None]
         return [time for time, _ in kept], [value for _, value in kept]
 
@@ -39,9 +39,8 @@ class Recording:
         return dict(zip(steps, np.ravel(values).tolist(), strict=True))
 
     def static(self, entity: str, component: str) -> Any:
-        view = self._recording.view(index="step", contents=entity)
-        table: pa.Table = view.select_static(f"{entity}:{component}").read_all()
-        return table.column(0).to_pylist()[0]
+        table = self._chunks.reader(index=None, contents=entity).to_arrow_table()
+        return table.column(f"{entity}:{component}").to_pylist()[0]
 
 
 @pytest.fixture(scope="session")

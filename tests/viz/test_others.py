@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import rerun as rr
 
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
@@ -20,10 +19,12 @@ from tests.children import python, run
 PROGRAM = [sys.executable, "-m", "rerun_cli"]
 
 
-def column(recording: "rr.dataframe.Recording", index: str, entity: str, component: str) -> list[Any]:
+ReadBack = Callable[[Path], Any]
+
+
+def column(recording: Any, index: str, entity: str, component: str) -> list[Any]:
     """Values of a component that is logged once a moment."""
-    table = recording.view(index=index, contents=entity).select(index, f"{entity}:{component}").read_all()
-    return [value[0] for value in table.column(1).to_pylist() if value is not None]
+    return [value[0] for value in recording.column(entity, component, index)[1]]
 
 
 @pytest.fixture(scope="module")
@@ -31,30 +32,28 @@ def log(make_log: Callable[..., Path]) -> Path:
     return make_log(lengths=((5, 12),), reward_parts=("forward",))
 
 
-def test_reruns_own_loader_shows_pictures_figures_and_words(log: Path, tmp_path: Path) -> None:
+def test_reruns_own_loader_shows_pictures_figures_and_words(log: Path, tmp_path: Path, read_back: ReadBack) -> None:
     ((file,),) = log_files(log)
     words = [*PROGRAM, "mcap", "convert", str(file), "-o", str(tmp_path / "theirs.rrd")]
     done = run(words, stdin=subprocess.DEVNULL)
     assert done.returncode == 0, done.stderr
-    theirs = rr.dataframe.load_recording(str(tmp_path / "theirs.rrd"))
+    theirs = read_back(tmp_path / "theirs.rrd")
     segments = list(open_logs(log)[0].segments())
 
-    pictures = column(theirs, "log_time", "/observation/image", "Image:buffer")
+    pictures = column(theirs, "message_log_time", "/observation/image", "Image:buffer")
     ours = np.concatenate([segments[0].images[:-1], segments[1].images])  # of two of one moment, the later is shown
     assert np.array_equal(np.array(pictures, np.uint8).reshape(-1, 84, 84, 3), ours)
-    view = theirs.view(index="log_time", contents="/metrics/position")
-    table = view.select("/metrics/position:Scalars:scalars", "/metrics/position:SeriesLines:names").read_all()
     names = ["intrinsic_reward", "world_model_loss", "policy_entropy", "value", "intrinsic_reward/forward"]
-    assert [row for row in table.column(1).to_pylist() if row] == [names] * 17
-    rows = np.array([row for row in table.column(0).to_pylist() if row])
+    assert theirs.column("/metrics/position", "SeriesLines:names", "message_log_time")[1] == [names] * 17
+    rows = np.array(theirs.column("/metrics/position", "Scalars:scalars", "message_log_time")[1])
     for name, numbers in zip(names[:4], rows.T, strict=False):
         expected = np.concatenate([getattr(segment, name) for segment in segments])
         assert np.array_equal(numbers, expected)
-    events = column(theirs, "log_time", "/events", "TextDocument:text")
+    events = column(theirs, "message_log_time", "/events", "TextDocument:text")
     assert events == [
         "step 0: world -1 -> 0 (start)", "step 5: world 0 -> 1 (learned)", "step 17: world 1 -> -1 (budget)",
     ]  # fmt: skip
-    steps = column(theirs, "log_time", "/step", "gym_open_msgs.msg.Step:message")
+    steps = column(theirs, "message_log_time", "/step", "gym_open_msgs.msg.Step:message")
     assert [step["action"] for step in steps] == np.concatenate([item.actions for item in segments]).tolist()
 
 
@@ -70,12 +69,14 @@ visualize_dataset(LeRobotDataset("open/explore", root=root, episodes=[1]), 1, sa
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("no_figures")
-def test_lerobots_viewer_shows_pictures_actions_and_the_agents_state(log: Path, tmp_path: Path) -> None:
+def test_lerobots_viewer_shows_pictures_actions_and_the_agents_state(
+    log: Path, tmp_path: Path, read_back: ReadBack
+) -> None:
     release = build_release(ReleaseConfig(max_episode_steps=256), [log], tmp_path / "release").path
     offline = {"HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path / "hf")}
     done = python(LEROBOT, release, tmp_path, env={**os.environ, **offline})
     assert done.returncode == 0, done.stderr
-    theirs = rr.dataframe.load_recording(str(tmp_path / "open_explore_episode_1.rrd"))
+    theirs = read_back(tmp_path / "open_explore_episode_1.rrd")
     ours = open_release(release)
     first, stop = ours.episodes[["dataset_from_index", "dataset_to_index"]].to_numpy()[1].tolist()
     frames = np.arange(first, stop)

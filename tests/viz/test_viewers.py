@@ -10,9 +10,10 @@ import subprocess
 import sys
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -61,13 +62,13 @@ def broken(error: Exception) -> View:
     return wave()._replace(fill=fill)
 
 
-def test_a_saved_view_is_whole(tmp_path: Path) -> None:
+def test_a_saved_view_is_whole(tmp_path: Path, read_back: Callable[[Path], Any]) -> None:
     path = viewers.save(wave(), tmp_path / "deep" / "wave.rrd")
-    recording = rr.dataframe.load_recording(str(path))
-    table = recording.view(index="step", contents="/wave").select("step", "/wave:Scalars:scalars").read_all()
-    assert table.column(0).to_pylist() == STEPS.tolist()
-    assert np.ravel(table.column(1).to_pylist()).tolist() == VALUES.tolist()
-    assert recording.application_id() == "gym-open: a wave"
+    recording = read_back(path)
+    steps, values = recording.column("/wave", "Scalars:scalars")
+    assert steps == STEPS.tolist()
+    assert np.ravel(values).tolist() == VALUES.tolist()
+    assert recording.store.application_id == "gym-open: a wave"
     assert [item.name for item in path.parent.iterdir()] == ["wave.rrd"]
 
 

@@ -36,15 +36,22 @@ def talking(repo: str, endpoint: str | None) -> "Iterator[HfApi]":
     api = HfApi(endpoint=endpoint, library_name="gym-open")
     try:
         yield api
-    except (OSError, RuntimeError, ValueError, LookupError, TypeError, AttributeError) as error:
+    except (network_error(), OSError, RuntimeError, ValueError, LookupError, TypeError, AttributeError) as error:
         # the last three are what the client makes of an answer that is not a hub's
         raise GymOpenError(f"{repo} at {api.endpoint}: {_explained(error)}") from error
+
+
+def network_error() -> type[Exception]:
+    """What the client's HTTP library raises. That is requests, httpx or httpx2, by the client's version."""
+    from huggingface_hub.errors import HfHubHTTPError
+
+    library = HfHubHTTPError.__bases__[0].__module__.partition(".")[0]
+    return [base for base in HfHubHTTPError.__mro__ if base.__module__.partition(".")[0] == library][-1]
 
 
 def _explained(error: Exception) -> str:
     from huggingface_hub.errors import HfHubHTTPError, LocalEntryNotFoundError, RepositoryNotFoundError
     from huggingface_hub.errors import OfflineModeIsEnabled as OfflineError
-    from requests import RequestException
 
     if isinstance(error, RuntimeError) and isinstance(error.__cause__, Exception):
         error = error.__cause__  # of an upload's thread
@@ -57,7 +64,7 @@ def _explained(error: Exception) -> str:
         if status in {401, 403}:
             return f"refused ({status}): log in with `hf auth login`, or set HF_TOKEN, with the right to write there"
         return f"answered {status} {said}; {_AGAIN}, later if it is busy"
-    if isinstance(error, RequestException | LocalEntryNotFoundError):
+    if isinstance(error, network_error() | LocalEntryNotFoundError):
         return f"cannot be reached ({type(error).__name__}); check the network and --endpoint, then {_AGAIN}"
     return f"{type(error).__name__}: {str(error)[:300]}; {_AGAIN}"
 

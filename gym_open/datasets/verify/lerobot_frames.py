@@ -1,7 +1,7 @@
-"""Loads some frames of a release as users do, with plain LeRobot: `python -m … ROOT NAME OUT EPISODE…`.
+"""Loads some frames of a release as users do, with plain LeRobot: `python -P FILE ROOT NAME OUT EPISODE…`.
 
 A process of its own: off-line from the first import on, with a cache that is thrown away, and if a library falls over
-what it reads, only this process does.
+what it reads, only this process does. It needs NumPy and LeRobot alone, so LeRobot's environment may lack gym-open.
 """
 
 import sys

@@ -4,15 +4,20 @@ import os
 import subprocess
 import sys
 import tempfile
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
+from gym_open.datasets.verify import lerobot_frames
 from gym_open.datasets.verify.report import Findings
+from gym_open.errors import UsageError
 from gym_open.formats.releases import pngs
 from gym_open.formats.releases.layout import IMAGE, data_path
 from gym_open.formats.releases.reader import Release
 
+VARIABLE = "GYM_OPEN_LEROBOT"
+"""A Python that has LeRobot, whose package wants older versions of many others: that of an environment of its own."""
 _LIMIT_S = 900
 _ROUNDING = 0.01
 """Levels by which a picture of 0 to 1 in float32 may be off, times 255."""
@@ -24,16 +29,28 @@ def chosen(release: Release) -> list[int]:
     return sorted({0, count // 2, count - 1})
 
 
-def check_lerobot(release: Release, findings: Findings) -> None:
-    """LeRobot loads it without a network and gives our frames."""
+def python_with_lerobot() -> str | None:
+    """The Python that reads with LeRobot: the one that `GYM_OPEN_LEROBOT` names, else this one if LeRobot is here."""
+    return os.environ.get(VARIABLE) or (sys.executable if find_spec("lerobot") else None)
+
+
+def check_lerobot(release: Release, findings: Findings) -> bool:
+    """LeRobot loads it without a network and gives our frames. False if there is no LeRobot to ask.
+
+    Raises:
+        UsageError: if `GYM_OPEN_LEROBOT` names no program.
+    """
+    python = python_with_lerobot()
+    if python is None:
+        return False
     episodes = chosen(release)
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "frames.npz"
         offline = {"HF_HUB_OFFLINE": "1", "HF_DATASETS_OFFLINE": "1", "HF_HOME": folder, "HF_LEROBOT_HOME": folder}
-        module = "gym_open.datasets.verify.lerobot_frames"
         plain = Path(folder) / "release"  # Hugging Face takes [, * and ? in a path for patterns
         plain.symlink_to(release.root.absolute(), target_is_directory=True)
-        words = [sys.executable, "-m", module, str(plain), release.name, str(out)]
+        # By its file, since that Python may lack this package; -P keeps the files beside it out of its imports.
+        words = [python, "-P", lerobot_frames.__file__, str(plain), release.name, str(out)]
         try:
             done = subprocess.run(  # noqa: S603  # our own module, by a list of words
                 [*words, *map(str, episodes)], env={**os.environ, **offline, "HF_DATASETS_CACHE": f"{folder}/datasets"},
@@ -41,13 +58,16 @@ def check_lerobot(release: Release, findings: Findings) -> None:
             )  # fmt: skip
         except subprocess.TimeoutExpired:
             findings.add("data", f"LeRobot did not load it within {_LIMIT_S} s")
-            return
+            return True
+        except OSError as error:
+            raise UsageError(f"{VARIABLE}: {python}: cannot be run ({error.strerror}); name a Python") from None
         if done.returncode or not out.exists():
             last = (done.stderr.strip().splitlines() or ["it said nothing"])[-1]
             findings.add("data", f"LeRobot cannot load it: {last[:300]}")
-            return
+            return True
         with np.load(out, allow_pickle=False) as found:
             _compare(release, dict(found), episodes, findings)
+    return True
 
 
 def _compare(release: Release, found: dict[str, np.ndarray], episodes: list[int], findings: Findings) -> None:

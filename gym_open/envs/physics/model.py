@@ -11,6 +11,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from gym_open import extras
 from gym_open.envs import constants as c
 from gym_open.envs.options import MeshObject, WorldOptions
 from gym_open.envs.physics import scenery
@@ -172,6 +173,7 @@ def _built_in(kind: str, options: WorldOptions) -> _Kind:
 
 
 def _mesh_kind(mesh: MeshObject) -> _Kind:
+    extras.check("meshes")
     from gym_open.envs.physics.meshes import mesh_shape  # loads libraries that few worlds need
 
     shape = mesh_shape(mesh)

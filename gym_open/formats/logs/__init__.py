@@ -5,20 +5,23 @@ The layout is in docs/data-format.md. `LogWriter` writes, `resume_writer` goes o
 it: the container, the messages, the encoding. `replay`, `info` and `repair` are what the `gym-open log` commands do.
 """
 
-from gym_open.formats.logs.reader import Log, found_files, log_files, open_log, open_logs, open_whole_part
-from gym_open.formats.logs.resume import resume_writer
-from gym_open.formats.logs.schemas import (
-    Keyframe,
-    LogError,
-    LogHead,
-    Segment,
-    SegmentStart,
-    StepRecord,
-    Stuck,
-    Switch,
-    log_name,
-)
-from gym_open.formats.logs.writer import LogWriter
+from gym_open.extras import Named
+
+with Named():
+    from gym_open.formats.logs.reader import Log, found_files, log_files, open_log, open_logs, open_whole_part
+    from gym_open.formats.logs.resume import resume_writer
+    from gym_open.formats.logs.schemas import (
+        Keyframe,
+        LogError,
+        LogHead,
+        Segment,
+        SegmentStart,
+        StepRecord,
+        Stuck,
+        Switch,
+        log_name,
+    )
+    from gym_open.formats.logs.writer import LogWriter
 
 __all__ = [
     "Keyframe",

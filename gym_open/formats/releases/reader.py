@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from gym_open import artefacts
+from gym_open import artefacts, extras
 from gym_open.errors import ArtefactError
 from gym_open.formats.pictures import workers
 from gym_open.formats.releases import parquet, pngs, videos
@@ -310,7 +310,9 @@ def open_release(root: Path, *, check: Literal["records", "bytes"] = "records") 
 
     Raises:
         ArtefactError: if it is missing, damaged (naming the file), not a release, or of another format version.
+        MissingExtraError: if what reads releases is not installed.
     """
+    extras.check("releases")
     digest = artefacts.verify(root, "release", hashed=lambda name: check == "bytes" or not name.startswith(_BULK))
     for name in artefacts.manifest(root):
         if not belongs(name):

@@ -41,7 +41,7 @@ def blueprint(names: Sequence[str], *, curve: bool) -> rrb.Blueprint:
     tabs.append(rrb.TextDocumentView(origin="/about/lineage", name="lineage"))
     return rrb.Blueprint(
         rrb.Tabs(*tabs),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE, sequence_cursor=0, fps=2.0),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, fps=2.0),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         auto_views=False,

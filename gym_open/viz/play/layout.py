@@ -14,7 +14,7 @@ def blueprint(streams: Sequence[Stream]) -> rrb.Blueprint:
     tabs = [_stream(item) for item in streams]
     return rrb.Blueprint(
         tabs[0] if len(tabs) == 1 else rrb.Tabs(*tabs, name="streams"),
-        rrb.TimePanel(state="collapsed", timeline="step", sequence_cursor=streams[0].steps.start, fps=25.0),
+        rrb.TimePanel(state="collapsed", timeline="step", fps=25.0),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         auto_views=False,

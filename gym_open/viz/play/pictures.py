@@ -40,7 +40,7 @@ def log_pictures(rec: rr.RecordingStream, entity: str, span: Span, numbers: np.n
         shown = span.depth[numbers].astype("<f4")
         depths = rr.DepthImage.columns(
             buffer=_bytes(shown),
-            format=_formats(shown, rr.datatypes.ChannelDatatype.F32),
+            format=_formats(shown, rr.encodings.ChannelDatatype.F32),
             meter=[1.0] * len(shown),
             depth_range=[_DEPTH_RANGE] * len(shown),
             colormap=[rr.components.Colormap.Viridis] * len(shown),
@@ -49,7 +49,7 @@ def log_pictures(rec: rr.RecordingStream, entity: str, span: Span, numbers: np.n
     if span.segmentation is not None:
         shown = np.where(span.segmentation[numbers] < 0, NOTHING, span.segmentation[numbers]).astype("<u2")
         ids = rr.SegmentationImage.columns(
-            buffer=_bytes(shown), format=_formats(shown, rr.datatypes.ChannelDatatype.U16)
+            buffer=_bytes(shown), format=_formats(shown, rr.encodings.ChannelDatatype.U16)
         )
         rec.send_columns(f"{entity}/{SEGMENTATION}", at, ids)
 
@@ -58,6 +58,6 @@ def _bytes(pictures: np.ndarray) -> list[np.ndarray]:
     return [np.frombuffer(picture.tobytes(), np.uint8) for picture in pictures]
 
 
-def _formats(pictures: np.ndarray, kind: rr.datatypes.ChannelDatatype) -> list[rr.datatypes.ImageFormat]:
+def _formats(pictures: np.ndarray, kind: rr.encodings.ChannelDatatype) -> list[rr.encodings.ImageFormat]:
     height, width = pictures.shape[1:]
-    return [rr.datatypes.ImageFormat(width=width, height=height, channel_datatype=kind)] * len(pictures)
+    return [rr.encodings.ImageFormat(width=width, height=height, channel_datatype=kind)] * len(pictures)

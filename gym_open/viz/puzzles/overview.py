@@ -60,13 +60,12 @@ def overview(sources: Sequence[Path]) -> View:
             _fill(rec, each)
 
     tabs = [_layout(each) for each in tables]
-    budget = max(each.budget for each in tables)
     return View(
         " and ".join(each.name for each in tables),
         fill,
         rrb.Blueprint(
             tabs[0] if len(tabs) == 1 else rrb.Tabs(*tabs),
-            rrb.TimePanel(state="collapsed", timeline=TIMELINE, sequence_cursor=budget, fps=10.0),
+            rrb.TimePanel(state="collapsed", timeline=TIMELINE, fps=10.0),
             rrb.BlueprintPanel(state="collapsed"),
             rrb.SelectionPanel(state="collapsed"),
             auto_views=False,

@@ -95,7 +95,7 @@ def _layout(played: Puzzled) -> rrb.Blueprint:
         rrb.Vertical(
             abreast[0] if len(abreast) == 1 else rrb.Tabs(*abreast), _below(played.episodes), row_shares=[7, 3]
         ),
-        rrb.TimePanel(state="collapsed", timeline="step", sequence_cursor=0, fps=10.0),
+        rrb.TimePanel(state="collapsed", timeline="step", fps=10.0),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         auto_views=False,

@@ -78,17 +78,17 @@ def test_our_reader_reads_it(said: dict[str, Any]) -> None:
 
 def test_rerun_shows_its_pictures_plots_and_events(tmp_path: Path) -> None:
     """The pinned viewer opens a log as it is."""
-    import rerun
+    from rerun.chunk import RrdReader
 
     program = str(Path(sys.executable).with_name("rerun"))
     save = [program, str(PAIR / "small.mcap"), "--save", str(tmp_path / "x.rrd"), "--port", "0"]
     done = run(save)
     assert done.returncode == 0, done.stderr
-    recording = rerun.dataframe.load_recording(tmp_path / "x.rrd")
+    recording = RrdReader(tmp_path / "x.rrd").stream().collect()
 
     def column(place: str, name: str) -> list[Any]:
-        table = recording.view(index="log_time", contents=place).select().read_all().to_pylist()
-        return [row[f"{place}:{name}"] for row in table if row[f"{place}:{name}"]]
+        table = recording.reader(index="message_log_time", contents=place).to_arrow_table().sort_by("message_log_time")
+        return [value for value in table.column(f"{place}:{name}").to_pylist() if value]
 
     (last,) = [segment for segment in open_log(PAIR / "small.mcap").segments() if segment.ended == "budget"]
     assert last.depth is not None

@@ -21,33 +21,32 @@ from gym_open.viz.config import VizConfig
 from gym_open.viz.curves import figure
 from gym_open.viz.curves.sources import Curve, find
 
+ReadBack = Callable[[Path], Any]
 SCRATCH, EVIL = "/score/goal-seeking/scratch", r"/score/goal-seeking/\<b\>x\<\/b\>\|\`\\x1b\[2J"
 
 
 class Recording:
     """A recording of curves read back."""
 
-    def __init__(self, folder: Path, *sources: Path) -> None:
+    def __init__(self, read_back: ReadBack, folder: Path, *sources: Path) -> None:
         view = curves.view(VizConfig(), sources, Choice())
         with rr.RecordingStream("test", recording_id="test") as rec:
             rec.save(folder / "curves.rrd", default_blueprint=view.blueprint)
             view.fill(rec)
-        self._recording = rr.dataframe.load_recording(str(folder / "curves.rrd"))
-        self.entities = {str(column.entity_path) for column in self._recording.schema().component_columns()}
+        self._recording = read_back(folder / "curves.rrd")
+        self.entities = self._recording.entities()
 
     def curve(self, entity: str) -> tuple[list[int], list[float]]:
-        view = self._recording.view(index="step", contents=entity)
-        table = view.select("step", f"{entity}:Scalars:scalars").read_all()
-        return table.column(0).to_pylist(), [value[0] for value in table.column(1).to_pylist()]
+        steps, values = self._recording.column(entity, "Scalars:scalars")
+        return steps, [value[0] for value in values]
 
     def static(self, entity: str, component: str) -> Any:
-        view = self._recording.view(index="step", contents=entity)
-        return view.select_static(f"{entity}:{component}").read_all().column(0).to_pylist()[0][0]
+        return self._recording.static(entity, component)[0]
 
 
 @pytest.fixture(scope="module")
-def drawn(benchmark: Path, tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    return Recording(tmp_path_factory.mktemp("rrd"), benchmark)
+def drawn(read_back: ReadBack, benchmark: Path, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return Recording(read_back, tmp_path_factory.mktemp("rrd"), benchmark)
 
 
 @pytest.fixture(scope="module")
@@ -82,8 +81,8 @@ def test_what_no_training_made_is_a_level_over_all_steps(drawn: Recording, repor
     assert y == pytest.approx([cells(report)["random"]["score"]["value"]] * len(x))
 
 
-def test_a_report_alone_shows_the_same(drawn: Recording, report: Path, tmp_path: Path) -> None:
-    alone = Recording(tmp_path, report)
+def test_a_report_alone_shows_the_same(drawn: Recording, report: Path, tmp_path: Path, read_back: ReadBack) -> None:
+    alone = Recording(read_back, tmp_path, report)
     assert alone.curve(f"{SCRATCH}/low") == (
         drawn.curve(f"{SCRATCH}/low")[0],
         pytest.approx(drawn.curve(f"{SCRATCH}/low")[1]),

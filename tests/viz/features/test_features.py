@@ -42,17 +42,16 @@ class Drawn(NamedTuple):
     path: Path
     release: Release
     encoder: Encoder
+    read_back: Callable[[Path], Any]
 
     def column(self, entity: str, component: str) -> list[Any]:
         """The component at each frame."""
-        view = rr.dataframe.load_recording(str(self.path)).view(index="frame", contents=entity)
-        table = view.select("frame", f"{entity}:{component}").read_all()
-        assert table.column(0).to_pylist() == list(range(len(self.release)))
-        return table.column(1).to_pylist()
+        frames, values = self.read_back(self.path).column(entity, component, index="frame")
+        assert frames == list(range(len(self.release)))
+        return values
 
     def static(self, entity: str, component: str) -> Any:
-        view = rr.dataframe.load_recording(str(self.path)).view(index="frame", contents=entity)
-        return view.select_static(f"{entity}:{component}").read_all().column(0).to_pylist()[0]
+        return self.read_back(self.path).static(entity, component)
 
 
 def build(folder: Path, kind: str, save: Callable[[Path], None]) -> Path:
@@ -77,7 +76,7 @@ def release(make_log: MakeLog, no_figures: None, tmp_path_factory: pytest.TempPa
 
 
 @pytest.fixture(scope="module")
-def drawn(release: Path, tmp_path_factory: pytest.TempPathFactory) -> Drawn:
+def drawn(release: Path, tmp_path_factory: pytest.TempPathFactory, read_back: Callable[[Path], Any]) -> Drawn:
     folder = tmp_path_factory.mktemp("features")
     encoder = Encoder(SMALL, torch.Generator().manual_seed(1))
 
@@ -87,7 +86,7 @@ def drawn(release: Path, tmp_path_factory: pytest.TempPathFactory) -> Drawn:
 
     source = build(folder / "encoder", "encoder", save)
     fill(features.view(VizConfig(), source, Choice(release=release)), folder / "features.rrd")
-    return Drawn(folder / "features.rrd", open_release(release), encoder)
+    return Drawn(folder / "features.rrd", open_release(release), encoder, read_back)
 
 
 def neighbours(drawn: Drawn) -> np.ndarray:
