@@ -148,9 +148,11 @@ def camera_axes(direction: tuple[float, float, float] = CAMERA_EULER) -> np.ndar
     `direction` is pitch down, yaw to the right and roll in degrees.
     Unity turns about z, then x, then y in a left-handed frame; swapping its y and z gives our right-handed one.
     """
-    pitch, yaw, roll = np.deg2rad(direction)
-    cp, sp, cy, sy, cr, sr = np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw), np.cos(roll), np.sin(roll)
-    about_x = np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]])
-    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
-    about_z = np.array([[cr, -sr, 0], [sr, cr, 0], [0, 0, 1]])
-    return (about_y @ about_x @ about_z).T[:, [0, 2, 1]]
+    pitch, yaw, roll = (math.radians(angle) for angle in direction)
+    cp, sp, cy, sy = math.cos(pitch), math.sin(pitch), math.cos(yaw), math.sin(yaw)
+    cr, sr = math.cos(roll), math.sin(roll)
+    # The product about y · about x · about z, written out: BLAS rounds differently on different processors.
+    right = cy * cr + sy * sp * sr, cy * sp * sr - sy * cr, cp * sr
+    up = sy * sp * cr - cy * sr, sy * sr + cy * sp * cr, cp * cr
+    forward = sy * cp, cy * cp, -sp
+    return np.array([right, up, forward])

@@ -13,7 +13,7 @@ from gym_open.envs.physics import model as m
 from gym_open.envs.physics import scenery
 from gym_open.envs.physics.sleep import AWAKE, set_asleep
 from gym_open.envs.physics.stepper import StepOutcome, Stepper
-from gym_open.envs.puzzles import GOALS, SIDES, STACK_HEIGHT, Puzzle, PuzzleError
+from gym_open.envs.puzzles import GOALS, STACK_HEIGHT, Puzzle, PuzzleError
 from gym_open.errors import ArtefactError
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -216,17 +216,16 @@ class World:
         layout = {"pen": puzzle.pen, "ramp": puzzle.pen, "patch": puzzle.patch}
         for name in scenery.PIECES:
             piece = layout.get(name)
-            place, angle = scenery.piece_at_rest(name), 0.0
+            place, turn = scenery.piece_at_rest(name), scenery.UNTURNED
             if piece is not None:
                 place = (*c.cell_centre(piece.row, piece.column), 0.0)
             if name == "ramp" and puzzle.pen is not None:
-                i, j = SIDES[puzzle.pen.ramp_side]
-                angle = np.arctan2(-i, j)
+                turn = scenery.RAMP_TURNS[puzzle.pen.ramp_side]
             if name == "lid" and any(item.kind == "stack" for item in puzzle.objects):
                 place = (0.0, 0.0, self.options.size("light") * (STACK_HEIGHT - 1))
             mocap = self.model.body(name).mocapid[0]
             self.data.mocap_pos[mocap] = place
-            self.data.mocap_quat[mocap] = np.cos(angle / 2), 0, 0, np.sin(angle / 2)
+            self.data.mocap_quat[mocap] = turn
 
 
 def _rebuilt(options: WorldOptions, state: tuple[Puzzle, bool, np.ndarray] | None) -> World:

@@ -5,6 +5,7 @@ are mocap bodies, parked there as well. Contact settings and their reasons are i
 """
 
 import functools
+import math
 from itertools import combinations
 from typing import NamedTuple
 
@@ -202,9 +203,9 @@ def _mesh_kind(mesh: MeshObject) -> _Kind:
 
 def _cone(half: float) -> np.ndarray:
     """(25, 3) metres: a cone's base and tip around the middle of its height, so that it rests as high as a cube."""
-    angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
-    base = np.stack([np.cos(angles), np.sin(angles), np.full(24, -1.0)], axis=1)
-    return half * np.vstack([base, (0, 0, 1)])
+    angles = np.linspace(0, 2 * np.pi, 24, endpoint=False).tolist()
+    base = [(math.cos(angle), math.sin(angle), -1.0) for angle in angles]
+    return half * np.array([*base, (0.0, 0.0, 1.0)])
 
 
 def _touched(name: str, kind: _Kind) -> list[str]:

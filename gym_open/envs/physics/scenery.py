@@ -1,9 +1,12 @@
 """What the model has besides its movable objects: table, walls, and the pieces that a puzzle moves into place."""
 
+import math
+
 import numpy as np
 
 from gym_open.envs import constants as c
 from gym_open.envs.physics.mjcf import box, indented, text
+from gym_open.envs.puzzles import Side
 
 PARKING_Y = -30.0
 """Parked things stand beyond this y, far behind the camera and out of the table's reach."""
@@ -13,6 +16,15 @@ PIECES = ("pen", "ramp", "patch", "lid")
 
 NO_BOUNCE = "0.01 1"
 """Reference of a contact that takes all speed away; see `model`."""
+
+UNTURNED = (1.0, 0.0, 0.0, 0.0)
+RAMP_TURNS: dict[Side, tuple[float, float, float, float]] = {
+    "north": (0.7071067811865476, 0.0, 0.0, 0.7071067811865475),
+    "east": UNTURNED,
+    "south": (0.7071067811865476, 0.0, 0.0, -0.7071067811865475),
+    "west": (6.123233995736766e-17, 0.0, 0.0, 1.0),
+}
+"""Quaternion of a ramp that leads to each side. To the last digit, since poses do not pass through the model's text."""
 
 BOUNCING = (
     *("wall_east", "wall_west", "wall_north", "wall_south"),
@@ -88,9 +100,9 @@ def pieces(lid_height: float) -> list[str]:
     end = half - thin
     top = end - c.RAMP_PLATFORM
     run = top - c.RAMP_FOOT
-    slope = float(np.arctan2(c.RAMP_HEIGHT, run))
-    long, thick = float(np.hypot(run, c.RAMP_HEIGHT)) / 2, 0.01
-    middle = (c.RAMP_FOOT + top) / 2 + thick * np.sin(slope), 0, c.RAMP_HEIGHT / 2 - thick * np.cos(slope)
+    slope = math.atan2(c.RAMP_HEIGHT, run)
+    long, thick = math.hypot(run, c.RAMP_HEIGHT) / 2, 0.01
+    middle = (c.RAMP_FOOT + top) / 2 + thick * math.sin(slope), 0, c.RAMP_HEIGHT / 2 - thick * math.cos(slope)
     ramp = [
         box("ramp_slope", middle, (long, c.RAMP_WIDTH / 2, thick), "ramp", euler=(0, -slope, 0), solref=NO_BOUNCE),
         box(
