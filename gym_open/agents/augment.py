@@ -5,6 +5,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from gym_open.agents.buffers import borrow
+from gym_open.agents.threads import in_parts
 from gym_open.envs.jit import compiled
 
 
@@ -36,16 +38,18 @@ def shift_each(images: Tensor, shifts: Tensor, weight: Tensor, offset: Tensor, d
     """
     if images.is_cuda:
         return _shift_each_cuda(images, shifts, weight, offset).to(dtype)
-    shape, low = images.shape, dtype == torch.bfloat16
-    out = torch.empty(shape, dtype=dtype)
-    bits = out.view(torch.uint16).numpy() if low else out.view(torch.uint32).numpy()
-    rows = shape[2] * shape[3]
-    _place(
-        images.contiguous().numpy().reshape(shape[0], shape[1], rows), shifts.numpy(),
-        weight.expand(shape[1:]).reshape(shape[1], rows).numpy(), offset.reshape(shape[1], rows).contiguous().numpy(),
-        shape[3], bits.reshape(shape[0], shape[1], rows), low,
-    )  # fmt: skip
-    return out.permute(0, 3, 1, 2)
+    (n, height, width, channels), low = images.shape, dtype == torch.bfloat16
+    rows = width * channels
+    out = borrow((n, height, rows), np.uint16 if low else np.uint32)
+    pictures, moves = images.contiguous().numpy().reshape(n, height, rows), shifts.numpy()
+    weights = weight.expand(images.shape[1:]).reshape(height, rows).numpy()
+    offsets = offset.reshape(height, rows).contiguous().numpy()
+
+    def work(begin: int, end: int) -> None:
+        _place(pictures[begin:end], moves[begin:end], weights, offsets, channels, out[begin:end], low)
+
+    in_parts(n, work)
+    return torch.from_numpy(out).view(dtype).view(images.shape).permute(0, 3, 1, 2)
 
 
 @compiled

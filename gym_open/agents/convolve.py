@@ -16,15 +16,15 @@ once. The same, the other way round, hands gradients down to the inputs. `add_co
 gradients.
 """
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
+from collections.abc import Sequence
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
+from gym_open.agents.buffers import borrow
+from gym_open.agents.threads import in_parts
 from gym_open.agents.tiles import ROWS, WIDTH, add_columns, add_rows
 from gym_open.envs.jit import compiled
 
@@ -90,14 +90,14 @@ class _ThreeLayers(torch.autograd.Function):
         packed = [_packed(weight) for weight in weights[::2]]
         biases = [bias.detach().numpy() for bias in weights[1::2]]
         n = len(prepared)
-        features = np.empty(n * N_FEATURES, np.float32)
-        lower = [np.empty((n if keep else 0) * looks, np.float32) for looks in (SECOND_LOOKS, THIRD_LOOKS)]
+        features = borrow((n * N_FEATURES,), np.float32)
+        lower = [borrow((n * looks,), np.float32) for looks in (SECOND_LOOKS, THIRD_LOOKS) if keep]
 
         def work(begin: int, end: int) -> None:
-            own = lower if keep else [np.empty(CHUNK * looks, np.float32) for looks in (SECOND_LOOKS, THIRD_LOOKS)]
+            own = lower or [np.empty(CHUNK * looks, np.float32) for looks in (SECOND_LOOKS, THIRD_LOOKS)]
             _forward(pictures, *packed, *biases, *own, features, slope, begin, end, keep)
 
-        _in_parts(n, work)
+        in_parts(n, work)
         if keep:
             ctx.slope, ctx.seen = slope, (pictures, *lower, features)
             ctx.save_for_backward(*weights)
@@ -115,20 +115,9 @@ class _ThreeLayers(torch.autograd.Function):
             _backward(*ctx.seen, gradient, *upper, *sums, ctx.slope, begin, end)
             return sums
 
-        parts = _in_parts(len(gradients[0]), work)
+        parts = in_parts(len(gradients[0]), work)
         sums = [torch.from_numpy(sum(part[1:], start=part[0])) for part in zip(*parts, strict=True)]
         return None, None, None, *(_like(one, weight) for one, weight in zip(sums, weights, strict=True))
-
-
-def _in_parts(n: int, work: Callable[[int, int], Any]) -> list[Any]:
-    """What `work` gives for each thread's part of n pictures, in order."""
-    count = max(min(torch.get_num_threads(), n // CHUNK), 1)
-    edges = [round(n * part / count) for part in range(count + 1)]
-    if count == 1:
-        return [work(0, n)]
-    with ThreadPoolExecutor(count - 1) as others:
-        rest = [others.submit(work, *part) for part in pairwise(edges[1:])]
-        return [work(*edges[:2]), *(one.result() for one in rest)]
 
 
 def _packed(weight: Tensor) -> np.ndarray:
