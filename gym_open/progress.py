@@ -1,14 +1,19 @@
-"""What a person sees while work goes on: one progress bar with rate and remaining time.
+"""What a person sees while work goes on: how far it is, how fast, and how long it still takes.
+
+On a terminal that is a bar. In a pipe, in a file or in CI it is lines: one when work starts, one every ten seconds, and
+one when it ends. Both go to standard error.
 
 A process whose environment names a file in GYM_OPEN_PROGRESS also writes there, about once a second, how far its bar
 is: so many processes side by side can be watched.
 """
 
 import os
+import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import Protocol
 
 import msgspec
 from rich.console import Console
@@ -17,9 +22,11 @@ from rich.progress import (
     MofNCompleteColumn,
     Progress,
     ProgressColumn,
+    SpinnerColumn,
     Task,
     TaskID,
     TextColumn,
+    TimeElapsedColumn,
     TimeRemainingColumn,
 )
 from rich.table import Column
@@ -29,12 +36,37 @@ from gym_open.files import read_regular
 
 console = Console(stderr=True)
 
+EVERY = 10.0
+"""Seconds between two lines about the same work."""
+COMPILES = "the first time on a machine, code is compiled: about a minute"
+"""Why what first opens a world or a network may take long."""
 FILE = "GYM_OPEN_PROGRESS"
 """Environment variable that names the file in which a process says how far it is."""
 _INTERVAL = 1.0
 """Seconds between two writes of that file."""
 _MAX_BYTES = 4096
 """Of that file that are read."""
+
+
+def on_terminal() -> bool:
+    """Whether bars can be drawn. CI may ask for colours, but its standard error is still no terminal."""
+    return console.is_jupyter or (console.is_terminal and not console.is_dumb_terminal and console.file.isatty())
+
+
+def write(line: str) -> None:
+    """Write a line to standard error at once. Whoever has stopped reading there does not stop the work."""
+    if not console.quiet:
+        with suppress(OSError, ValueError):  # ValueError: the stream is closed
+            console.file.write(f"{line}\n")
+            console.file.flush()
+
+
+def duration(seconds: float) -> str:
+    """Seconds in words that stay short: 12 s, 3 min, 2 h 05 min."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60:02d} min"
 
 
 class Progressed(msgspec.Struct, frozen=True):
@@ -54,17 +86,24 @@ class Progressed(msgspec.Struct, frozen=True):
             return None
 
 
-class _Reporter:
+class _Shown(Protocol):
+    """Something that is told how far a bar is."""
+
+    def advance(self, amount: int, note: str | None) -> None: ...
+
+
+class _File:
     """Writes how far a bar is into a file, now and then: a watcher must never slow or stop the work."""
 
     def __init__(self, path: Path, done: int, total: int) -> None:
         self.path, self.done, self.total = path, done, total
         self.first, self.started = done, time.monotonic()
         self.written = -_INTERVAL
-        self.advance(0)
+        self.advance(0, None)
 
-    def advance(self, amount: int) -> None:
+    def advance(self, amount: int, note: str | None) -> None:
         """Count `amount` units, and write if it is time to."""
+        del note
         self.done += amount
         now = time.monotonic()
         if now - self.written < _INTERVAL and self.done < self.total:
@@ -77,31 +116,181 @@ class _Reporter:
             beside.replace(self.path)
 
 
-class _Rate(ProgressColumn):
-    def render(self, task: Task) -> Text:
-        speed = task.finished_speed or task.speed
-        return Text(f"{speed:,.0f}/s" if speed else "", style="progress.data.speed")
+class Lines:
+    """Says in lines how far a bar is: when it is made, when it is told to, and at the end.
+
+    One thread may count while another asks for a line.
+
+    Args:
+        title: what goes on.
+        total: units of work.
+        done: of these, units that an earlier process has done. They do not count as speed.
+        tell: takes a line.
+        clock: gives seconds since any fixed time.
+    """
+
+    def __init__(
+        self, title: str, total: int, *, done: int = 0, tell: Callable[[str], None] = write,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:  # fmt: skip
+        self._title, self._total, self._first, self._done = title, total, done, done
+        self._tell, self._clock, self._started = tell, clock, clock()
+        self._note = ""
+        tell(f"{title}: {'goes on at ' if done else ''}{done:,} of {total:,}")
+
+    def advance(self, amount: int, note: str | None) -> None:
+        """Count `amount` units; a `note` stays until the next one."""
+        self._done += amount
+        self._note = self._note if note is None else note
+
+    def now(self) -> None:
+        """Say how far it is."""
+        done, rate = self._done, self._rate()
+        parts = [f"{done:,} of {self._total:,} ({done / max(self._total, 1):.0%})"]
+        if rate:
+            parts += [speed(rate), f"{duration(max(self._total - done, 0) / rate)} left"]
+        self._say(parts)
+
+    def end(self) -> None:
+        """Say what was done in what time."""
+        seconds, rate = self._clock() - self._started, self._rate()
+        took = duration(seconds) if seconds >= 10 else f"{seconds:.1f} s"
+        parts = [f"{self._done:,} of {self._total:,} in {took}"]
+        self._say([*parts, speed(rate)] if rate else parts)
+
+    def _rate(self) -> float:
+        return (self._done - self._first) / max(self._clock() - self._started, 1e-9)
+
+    def _say(self, parts: list[str]) -> None:
+        self._tell(f"{self._title}: {', '.join(parts)}{f'; {self._note}' if self._note else ''}")
 
 
-class Bar:
-    """A running progress bar; `note` is a short live text (a loss, a score)."""
+class Waiting:
+    """Says in lines how long something without a count has been going on; arguments as in `Lines`."""
 
-    def __init__(self, progress: Progress, task: TaskID, reporter: _Reporter | None) -> None:
-        self._progress, self._task, self._reporter = progress, task, reporter
+    def __init__(
+        self, title: str, hint: str = "", *, tell: Callable[[str], None] = write,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:  # fmt: skip
+        self._title, self._why = title, f" ({hint})" if hint else ""
+        self._tell, self._clock, self._started = tell, clock, clock()
 
-    def advance(self, amount: int = 1, note: str | None = None) -> None:
-        """Move on by `amount` units."""
+    def now(self) -> None:
+        """Say it."""
+        self._tell(f"{self._title}: {duration(self._clock() - self._started)} so far{self._why}")
+
+
+class _Drawn:
+    """A bar on a terminal."""
+
+    def __init__(self, progress: Progress, task: TaskID) -> None:
+        self._progress, self._task = progress, task
+
+    def advance(self, amount: int, note: str | None) -> None:
+        """Draw it `amount` units longer."""
         if note is not None:
             self._progress.update(self._task, note=note)
         self._progress.advance(self._task, amount)
-        if self._reporter is not None:
-            self._reporter.advance(amount)
+
+
+class Bar:
+    """How far some work is; `note` is a short live text (a loss, a score)."""
+
+    def __init__(self, shown: list[_Shown]) -> None:
+        self._shown = shown
+
+    def advance(self, amount: int = 1, note: str | None = None) -> None:
+        """Move on by `amount` units."""
+        for one in self._shown:
+            one.advance(amount, note)
 
 
 @contextmanager
 def bar(title: str, total: int, *, done: int = 0) -> Iterator[Bar]:
     """Show a bar of `total` units titled `title`, `done` of them already behind us (after a resume)."""
+    file = os.environ.get(FILE)
+    shown: list[_Shown] = [_File(Path(file), done, total)] if file else []
+    with ExitStack() as stack:
+        if on_terminal():
+            shown.append(stack.enter_context(_drawn(title, total, done)))
+            yield Bar(shown)
+            return
+        lines = Lines(title, total, done=done)
+        with _again_and_again(lines.now):
+            yield Bar([*shown, lines])
+        lines.end()  # not after an error, which says more
 
+
+@contextmanager
+def doing(title: str, hint: str = "") -> Iterator[None]:
+    """Say what goes on while nothing can be counted. The `hint` says why it may take long.
+
+    Nothing else may be printed meanwhile.
+    """
+    if not on_terminal():
+        write(f"{title} …")
+        with stage(title, hint):
+            yield
+        return
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True) as progress:
+        progress.add_task(f"{title} ({hint})" if hint else title, total=None)
+        yield
+
+
+@contextmanager
+def stage(title: str, hint: str = "") -> Iterator[None]:
+    """Where there is no terminal, say every ten seconds that work goes on, as long as no bar says more."""
+    if on_terminal():
+        yield
+        return
+    with _again_and_again(Waiting(title, hint).now):
+        yield
+
+
+_talking: list[object] = []
+"""What says a line every ten seconds; of several, one inside the other, only the innermost does."""
+_turn = threading.Lock()
+"""To say a line, and to become or cease to be the innermost."""
+
+
+@contextmanager
+def _again_and_again(say: Callable[[], None]) -> Iterator[None]:
+    """Call `say` every `EVERY` seconds, in a thread of its own, unless something inside does the same."""
+    me, over = object(), threading.Event()
+
+    def wait() -> None:
+        while not over.wait(EVERY):
+            with _turn:
+                if _talking[-1:] == [me]:
+                    say()
+
+    with _turn:
+        _talking.append(me)
+    thread = threading.Thread(target=wait, name="gym-open progress", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        with _turn:
+            _talking.remove(me)
+        thread.join()
+
+
+def speed(rate: float) -> str:
+    """Units a second in words: 331/s, 4.2/s, 0.03/s."""
+    return f"{rate:,.0f}/s" if rate >= 10 else f"{rate:.1f}/s" if rate >= 1 else f"{rate:.1g}/s"
+
+
+class _Rate(ProgressColumn):
+    def render(self, task: Task) -> Text:
+        rate = task.finished_speed or task.speed
+        return Text(speed(rate) if rate else "", style="progress.data.speed")
+
+
+@contextmanager
+def _drawn(title: str, total: int, done: int) -> Iterator[_Drawn]:
     def fixed(width: int) -> Column:
         return Column(min_width=width, no_wrap=True)
 
@@ -114,6 +303,4 @@ def bar(title: str, total: int, *, done: int = 0) -> Iterator[Bar]:
         TextColumn("{task.fields[note]}", table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1)),
     )
     with Progress(*columns, console=console) as progress:
-        task = progress.add_task(title, total=total, completed=done, note="")
-        file = os.environ.get(FILE)
-        yield Bar(progress, task, _Reporter(Path(file), done, total) if file else None)
+        yield _Drawn(progress, progress.add_task(title, total=total, completed=done, note=""))

@@ -11,6 +11,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from gym_open.progress import duration, speed
 from gym_open.terminal import printable
 
 if TYPE_CHECKING:
@@ -108,13 +109,5 @@ def how_far(run: "Run") -> str:
     words = f"{progress.done:,}/{progress.total:,}"
     if progress.rate:
         left = (progress.total - progress.done) / progress.rate
-        words += f"  {progress.rate:,.{0 if progress.rate >= 10 else 1}f}/s  {duration(left)} left"
+        words += f"  {speed(progress.rate)}  {duration(left)} left"
     return words
-
-
-def duration(seconds: float) -> str:
-    """Seconds in words that stay short: 12 s, 3 min, 2 h 05 min."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    minutes = round(seconds / 60)
-    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60:02d} min"

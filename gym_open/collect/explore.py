@@ -71,7 +71,8 @@ def _work(config: CollectConfig, folder: Path) -> Mapping[str, Any]:
     config, precision = _settled(config, folder)
     try:
         with ExitStack() as logs:
-            exploration = Exploration(config, folder, logs)
+            with progress.doing("preparing the worlds", progress.COMPILES):
+                exploration = Exploration(config, folder, logs)
             try:
                 exploration.run()
             except DivergedError as error:

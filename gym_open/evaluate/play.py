@@ -210,8 +210,9 @@ def _episodes(
 ) -> Episodes:
     """Play until the last puzzle is over; a world whose puzzle is over is neither stepped nor drawn."""
     n, N = len(puzzles), step_budget(task)
-    envs = [OpenEnv(task) for _ in puzzles]
-    images = np.stack([env.reset(seed=0, options={"puzzle": p})[0] for env, p in zip(envs, puzzles, strict=True)])
+    with progress.doing("preparing the puzzles", progress.COMPILES):
+        envs = [OpenEnv(task) for _ in puzzles]
+        images = np.stack([env.reset(seed=0, options={"puzzle": p})[0] for env, p in zip(envs, puzzles, strict=True)])
     actions = np.full((n, N), -1, dtype=np.int8)
     rewards = np.zeros((n, N))
     steps = np.zeros(n, dtype=np.int64)

@@ -79,7 +79,8 @@ def train_policy(
         torch.set_num_threads(config.threads)
         precision = settle(config.ppo.precision, config.device, partial / artefacts.SCRATCH)
         settled = structs.replace(config, ppo=structs.replace(config.ppo, precision=precision))
-        trainer = _Trainer(settled, encoder, partial)
+        with progress.doing("preparing the puzzles", progress.COMPILES):
+            trainer = _Trainer(settled, encoder, partial)
         trainer.resume()
         trainer.run(tensorboard)
         save_policy(partial, trainer.agent)
