@@ -2,6 +2,7 @@
 
 import os
 import platform
+from contextlib import suppress
 from pathlib import Path
 
 from gym_open.errors import ConfigError
@@ -24,6 +25,23 @@ def check_device(device: str) -> None:
 
         if not torch.cuda.is_available():
             raise ConfigError(f"key `device`: {device!r} asks for a GPU, and PyTorch finds none here; give 'cpu'")
+
+
+def usable_cores(groups: Path = Path("/sys/fs/cgroup")) -> int:
+    """Cores that this process may use: those it may run on, or fewer if its control group has less time than that.
+
+    Args:
+        groups: where Linux shows control groups, of version 1 or 2.
+    """
+    found = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    for folder in (groups, groups / "cpu"):
+        with suppress(OSError, ValueError, ZeroDivisionError):
+            quota, period = (folder / "cpu.max").read_text().split()
+            found = min(found, int(quota) // int(period))
+        with suppress(OSError, ValueError, ZeroDivisionError):
+            quota, period = ((folder / f"cpu.cfs_{name}_us").read_text() for name in ("quota", "period"))
+            found = min(found, int(quota) // int(period)) if int(quota) > 0 else found
+    return max(found, 1)
 
 
 def _processor() -> str:

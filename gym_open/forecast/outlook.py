@@ -1,0 +1,90 @@
+"""The line that a run begins with, and a warning if the disk is too small."""
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from gym_open import artefacts, progress
+from gym_open.config import Config
+from gym_open.errors import ArtefactError
+from gym_open.forecast.work import Work, about
+from gym_open.hardware import usable_cores
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stage:
+    """A stage that is to come."""
+
+    name: str
+    folder: Path
+    """Of its artefact."""
+    config: Config
+    needs: tuple["Stage", ...] = ()
+    """Stages whose artefacts it is made of."""
+    work: Work
+
+
+def to_do(stages: Sequence[Stage]) -> list[Stage]:
+    """The stages whose artefacts are not there, or seem to be of other inputs.
+
+    Only small records are read: whether an artefact is whole, the stage itself finds out.
+    """
+    left: list[Stage] = []
+    for stage in stages:
+        if any(needed in left for needed in stage.needs) or not _seems_made(stage):
+            left.append(stage)
+    return left
+
+
+def _seems_made(stage: Stage) -> bool:
+    try:
+        same_code = artefacts.lineage(stage.folder).code == artefacts.code_version()
+        config = msgspec.json.decode(msgspec.json.encode(stage.config))  # as it is on disk: lists, no tuples
+        return same_code and artefacts.config_of(stage.folder) == config
+    except ArtefactError:
+        return False
+
+
+def found(stages: Sequence[Stage], root: Path) -> str:
+    """What stages in the workspace `root` run on, as far as it decides how long they take."""
+    with progress.doing("loading PyTorch"):
+        import torch
+
+        from gym_open.precision import resolve
+
+    ways = [how for stage in stages for how in stage.work.pictures if how.learn]
+    device = "no GPU in use"
+    if any(how.device == "cuda" for how in ways):
+        device = torch.cuda.get_device_name() if torch.cuda.is_available() else "no GPU found"
+    precisions = " and ".join(sorted({resolve(how.precision, how.device) for how in ways}))
+    cores, free = usable_cores(), size(shutil.disk_usage(root).free)
+    return f"{cores} core{'s' * (cores > 1)}, {device}, {precisions}, {free} free"
+
+
+def expected(left: Sequence[Stage]) -> str:
+    """How long these stages will take here, in words; measured in about two seconds."""
+    works = [stage.work for stage in left]
+    with progress.doing("getting ready", progress.COMPILES):
+        from gym_open.forecast import speed
+
+        speed.get_ready(works)
+    with progress.doing("measuring this machine"):
+        return about(speed.seconds(works))
+
+
+def too_full(root: Path, needed: int) -> str:
+    """A warning if fewer than `needed` bytes are free for the workspace `root`, else nothing."""
+    free = shutil.disk_usage(root).free
+    if free >= needed:
+        return ""
+    return f"{size(free)} free on the disk of {root}, and this run writes about {size(needed)}: make room"
+
+
+def size(count: float) -> str:
+    """Bytes in words: 61 GB, 0.4 GB, 23 MB."""
+    if count < 1e8:
+        return f"{count / 1e6:.0f} MB"
+    return f"{count / 1e9:.{0 if count >= 9.95e9 else 1}f} GB"

@@ -1,0 +1,206 @@
+"""How long a stage takes on this machine, and how much it writes: from its configuration and a short measurement.
+
+A stage is two things to a processor: steps of a world, and pictures that pass through a network. `Work` counts both,
+and follows from the configuration alone. What one of each costs here is measured in about two seconds (`Measured`).
+The sum is good to a third or so: enough to choose between waiting and having lunch.
+"""
+
+import math
+from collections.abc import Callable
+
+import msgspec
+
+from gym_open.agents.config import Device, EncoderConfig, WorldModelName
+from gym_open.collect.config import CollectConfig
+from gym_open.envs.tasks import step_budget
+from gym_open.evaluate.config import EvaluateConfig
+from gym_open.precision import PrecisionSetting
+from gym_open.train.config import EncoderTrainConfig, PolicyTrainConfig, ProbeConfig
+
+PUZZLES = 100
+"""In each fixed set."""
+LARGE = 128
+"""Pictures in a batch above which one picture costs no less: larger batches are taken for this one."""
+
+_RESET = 6.0
+"""What laying out a puzzle costs, in steps."""
+_LOGGED, _RELEASED, _DECODED, _DRAWN = 2.0, 4.0, 1.0, 4.0
+"""What else happens to a step, in steps: it is logged, put into a release, read from it, put into a recording."""
+_BESIDES = 1.0
+"""Seconds that every stage takes for imports, checks and figures."""
+_HELD_OUT_BATCHES = 4
+_WARM_UP = 8
+"""Moves before a probe's first picture in each world."""
+_PASS_FLOPS = 17e6
+"""Of one picture forward through the paper's network, as a measure of work that is no network's."""
+_FIT_FLOPS = 15e9
+"""Of a linear map from 512 features, as if it were as fast as a network."""
+_PIXELS = 84 * 84 * 3
+_MOVES = 8
+
+
+class Passes(msgspec.Struct, frozen=True):
+    """How pictures pass through a network."""
+
+    network: EncoderConfig
+    precision: PrecisionSetting
+    device: Device
+    threads: int
+    batch: int
+    """Pictures at a time."""
+    learn: bool
+    """Forward and backward, or only forward."""
+
+
+class Work(msgspec.Struct, frozen=True):
+    """What a stage asks of a machine."""
+
+    steps: float = 0.0
+    """Steps of a world, each with its picture."""
+    pictures: dict[Passes, float] = {}
+    """Pictures that pass through networks, by the way they pass."""
+
+    def seconds(self, step: float, picture: Callable[[Passes], float]) -> float:
+        """Seconds that it takes if a step takes `step` seconds, and a picture what the function says."""
+        return _BESIDES + self.steps * step + sum(count * picture(how) for how, count in self.pictures.items())
+
+
+class _Kind(msgspec.Struct, frozen=True):
+    """Passes of one picture through a world model's networks."""
+
+    learned: int
+    """Forward and backward in an update."""
+    looked: int
+    """Only forward in an update: keys, targets."""
+    judged: int
+    """Forward to give the model's own error or its loss."""
+
+
+_KINDS: dict[WorldModelName, _Kind] = {
+    "none": _Kind(0, 0, 0),
+    "curl": _Kind(1, 1, 2),
+    "icm": _Kind(2, 0, 2),
+    "rnd": _Kind(1, 1, 2),
+}
+
+
+def _way(
+    network: EncoderConfig, precision: PrecisionSetting, threads: int, batch: int, *, learn: bool = False,
+    device: Device = "cpu",
+) -> Passes:  # fmt: skip
+    return Passes(network, precision, device, threads, min(batch, LARGE), learn)
+
+
+def collecting(config: CollectConfig) -> Work:
+    """Of exploration: playing, rewarding, learning, and the loss of the world that is played in."""
+    explorer, ppo, n = config.explorer, config.explorer.ppo, float(config.steps)
+    kind, acts = _KINDS[explorer.world_model], explorer.reward != "none"
+    shared = acts and explorer.share_encoder and kind.learned > 0
+    rewarded = {"none": 0, "error": kind.judged, "ride": 1, "counted-ride": 1}[explorer.reward]
+    learned = ppo.update_epochs * (acts + kind.learned - shared)
+    judged = kind.judged * config.probe / config.rollout
+
+    def way(batch: int, *, learn: bool = False) -> Passes:
+        return _way(explorer.encoder, ppo.precision, config.threads, batch, learn=learn)
+
+    return Work(
+        n * (1 + _LOGGED),
+        _sum(
+            (way(config.streams), n * acts),
+            (way(LARGE), n * (rewarded + judged + ppo.update_epochs * kind.looked)),
+            (way(ppo.minibatch_size, learn=True), n * learned),
+        ),
+    )
+
+
+def releasing(config: CollectConfig) -> Work:
+    """Of a release of the steps that were played."""
+    return Work(config.steps * _RELEASED)
+
+
+def drawing(config: CollectConfig) -> Work:
+    """Of a recording of them."""
+    return Work(config.steps * _DRAWN)
+
+
+def encoding(config: EncoderTrainConfig, frames: int) -> Work:
+    """Of an encoder from a release of so many frames: decoding them once, updates, and what is held out."""
+    kind = _KINDS[config.world_model]
+    seen = float(config.updates * config.batch_size)
+    held_out = math.ceil(config.updates / config.report_every) * _HELD_OUT_BATCHES * config.batch_size * kind.judged
+
+    def way(*, learn: bool) -> Passes:
+        return _way(
+            config.encoder, config.precision, config.threads, config.batch_size, learn=learn, device=config.device
+        )
+
+    return Work(
+        frames * _DECODED,
+        _sum((way(learn=True), seen * kind.learned), (way(learn=False), seen * kind.looked + held_out)),
+    )
+
+
+def probing(config: ProbeConfig, network: EncoderConfig) -> Work:
+    """Of a probe: play in fresh worlds, features of what was seen, and the linear maps, of pixels above all."""
+    worlds = config.train_worlds + config.validation_worlds + config.test_worlds
+    one_move = config.train_worlds * config.moves / _MOVES  # of pixels, products of pictures are what takes long
+    flops = 2 * _PIXELS * (2 * config.train_worlds**2 + _MOVES * one_move**2) if config.pixels else 0.0
+    flops += (2 + _MOVES) * (1 + config.untrained) * _FIT_FLOPS * (network.features / 512) ** 3
+    fp32 = _way(network, "fp32", config.threads, LARGE)
+    return Work(
+        worlds * (_RESET + _WARM_UP + config.moves + 1),
+        _sum(
+            (fp32, worlds * (config.moves + 1.0) * (1 + config.untrained) + flops / _PASS_FLOPS),
+        ),
+    )
+
+
+def learning(config: PolicyTrainConfig, *, encoder: bool) -> Work:
+    """Of PPO on a task, from an `encoder` or from scratch."""
+    rollout = config.num_envs * config.num_steps
+    n = float(math.ceil(config.steps / rollout) * rollout)
+    ppo, first = config.ppo, float(config.mean_images)
+
+    def way(precision: PrecisionSetting, batch: int, *, learn: bool = False) -> Passes:
+        return _way(config.encoder, precision, config.threads, batch, learn=learn, device=config.device)
+
+    return Work(
+        n + first * _RESET,
+        _sum(
+            (way(ppo.precision, config.num_envs), n * (1 + 1 / config.num_steps)),
+            (way(ppo.precision, ppo.minibatch_size, learn=True), 0.0 if config.frozen else n * ppo.update_epochs),
+            (way("fp32", LARGE), 2 * first if encoder and config.transfer != "weights" else 0.0),
+        ),
+    )
+
+
+def playing(config: EvaluateConfig, network: EncoderConfig | None) -> Work:
+    """Of scoring on the fixed puzzles: a policy with this network, or random play."""
+    n = float(PUZZLES * step_budget(config.task))
+    pictures = {} if network is None else _sum((_way(network, "fp32", config.threads, PUZZLES), n))
+    return Work(n + PUZZLES * _RESET, pictures)
+
+
+def bytes_written(config: CollectConfig) -> int:
+    """What a whole run writes, and keeps for a while: a step in log, release and recording, and a dozen networks."""
+    return config.steps * (3_000 + 20_000 * (config.log.depth + config.log.segmentation)) + 100_000_000
+
+
+def about(seconds: float) -> str:
+    """An expected time in words, as coarse as it is uncertain: about 4 min."""
+    minutes = seconds / 60
+    if minutes < 0.75:
+        return "less than a minute"
+    if minutes < 15:
+        return f"about {minutes:.0f} min"
+    if minutes < 90:
+        return f"about {5 * round(minutes / 5)} min"
+    return f"about {round(minutes / 60)} h"
+
+
+def _sum(*parts: tuple[Passes, float]) -> dict[Passes, float]:
+    total: dict[Passes, float] = {}
+    for how, count in parts:
+        if count:
+            total[how] = total.get(how, 0.0) + count
+    return total
