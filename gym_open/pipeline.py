@@ -5,22 +5,33 @@ killed stage goes on from its own checkpoint: the pipeline itself keeps no state
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
 import msgspec
-from rich.console import Console
 
-from gym_open import artefacts, workspace
+import gym_open
+from gym_open import artefacts, progress, workspace
 from gym_open.artefacts import Outcome
 from gym_open.collect.config import CollectConfig
 from gym_open.config import Config, check, load
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.evaluate.config import EvaluateConfig
-from gym_open.summary import PAPER_NOTE, probe_table, proof_text, score_table, short, stage_table, word
-from gym_open.terminal import markup
+from gym_open.forecast import outlook, work
+from gym_open.summary import (
+    PAPER_NOTE,
+    probe_table,
+    proof_text,
+    read_json,
+    score_table,
+    short,
+    stage_record,
+    stage_table,
+    word,
+)
+from gym_open.terminal import Voice, markup
 from gym_open.train.config import EncoderTrainConfig, PolicyTrainConfig, ProbeConfig
 from gym_open.viz.config import VizConfig
 
@@ -63,120 +74,240 @@ def read_plan(root: Path, seed: int) -> Plan:
     )
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stage(outlook.Stage):
+    """A stage of the run."""
+
+    make: Callable[[], Outcome]
+    """Makes its artefact, or finds it up to date."""
+
+
+def stages(plan: Plan, root: Path, seed: int) -> list[Stage]:
+    """The stages of a run in their order; what they are made of is known from their folders."""
+    log = Stage(
+        name="collect",
+        folder=(logs := root / f"collect/logs/curl-ride-seed{seed}"),
+        config=plan.collect,
+        work=work.collecting(plan.collect),
+        make=lambda: _collect(plan.collect, logs),
+    )
+    named = msgspec.structs.replace(plan.release, name=f"{plan.release.name}-seed{seed}")
+    release = Stage(
+        name="dataset build",
+        folder=(built := root / "datasets" / named.name / named.version),
+        config=named,
+        needs=(log,),
+        work=work.releasing(plan.collect),
+        make=lambda: _build(named, logs, built),
+    )
+    encoder = Stage(
+        name="train encoder",
+        folder=(learned := root / f"train/encoders/curl-seed{seed}"),
+        config=plan.encoder,
+        needs=(release,),
+        work=work.encoding(plan.encoder, plan.collect.steps),
+        make=lambda: _train_encoder(plan.encoder, built, learned),
+    )
+    probe = Stage(
+        name="train probe",
+        folder=(probed := root / f"train/probes/curl-seed{seed}"),
+        config=plan.probe,
+        needs=(encoder,),
+        work=work.probing(plan.probe, plan.encoder.encoder),
+        make=lambda: _probe(plan.probe, learned, probed),
+    )
+    policies = [_policy(plan, root, seed, start) for start in (encoder, None)]
+    scores = [_scores(plan, root, seed, policy) for policy in (*policies, None)]
+    shown = [log, *policies, *scores]
+    recording = Stage(
+        name="viz recording",
+        folder=(recorded := root / f"viz/recordings/run-seed{seed}"),
+        config=plan.viz,
+        needs=(log,),
+        work=work.drawing(plan.collect),
+        make=lambda: _record(plan.viz, logs, recorded),
+    )
+    figure = Stage(
+        name="viz figure",
+        folder=(drawn := root / f"viz/figures/run-seed{seed}"),
+        config=plan.viz,
+        needs=tuple(shown),
+        work=work.Work(),
+        make=lambda: _draw(plan.viz, [stage.folder for stage in shown], drawn),
+    )
+    return [log, release, encoder, probe, *policies, *scores, recording, figure]
+
+
+def _policy(plan: Plan, root: Path, seed: int, encoder: Stage | None) -> Stage:
+    start = encoder.folder if encoder else None
+    folder = root / f"train/policies/{plan.policy.task}-{'curl' if encoder else 'scratch'}-seed{seed}"
+    return Stage(
+        name=f"train policy {'from encoder' if encoder else 'from scratch'}",
+        folder=folder,
+        config=plan.policy,
+        needs=(encoder,) if encoder else (),
+        work=work.learning(plan.policy, encoder=encoder is not None),
+        make=lambda: _train_policy(plan.policy, start, folder),
+    )
+
+
+def _scores(plan: Plan, root: Path, seed: int, policy: Stage | None) -> Stage:
+    played = policy.folder if policy else None
+    folder = root / "evaluate/scores" / (played.name if played else f"{plan.policy.task}-random-seed{seed}")
+    config = plan.evaluate if policy else msgspec.structs.replace(plan.evaluate, actions="sampled")
+    return Stage(
+        name=f"evaluate {policy.name.replace('train policy', 'PPO') if policy else 'random'}",
+        folder=folder,
+        config=config,
+        needs=(policy,) if policy else (),
+        work=work.playing(config, plan.policy.encoder if policy else None),
+        make=lambda: _evaluate(config, played, folder),
+    )
+
+
+def _collect(config: CollectConfig, out: Path) -> Outcome:
+    from gym_open.collect.explore import collect
+
+    return collect(config, out)
+
+
+def _build(config: ReleaseConfig, log: Path, out: Path) -> Outcome:
+    from gym_open.datasets.build import build_release
+
+    return build_release(config, [log], out, replace=True)
+
+
+def _train_encoder(config: EncoderTrainConfig, release: Path, out: Path) -> Outcome:
+    from gym_open.train.encoder import train_encoder
+
+    return train_encoder(config, release, out)
+
+
+def _probe(config: ProbeConfig, encoder: Path, out: Path) -> Outcome:
+    from gym_open.train.probe import probe
+
+    return probe(config, encoder, out)
+
+
+def _train_policy(config: PolicyTrainConfig, encoder: Path | None, out: Path) -> Outcome:
+    from gym_open.train.policy import train_policy
+
+    return train_policy(config, encoder, out)
+
+
+def _evaluate(config: EvaluateConfig, policy: Path | None, out: Path) -> Outcome:
+    from gym_open.evaluate.play import evaluate
+
+    return evaluate(config, policy, out)
+
+
+def _record(config: VizConfig, log: Path, out: Path) -> Outcome:
+    def work(partial: Path) -> dict[str, str]:
+        from gym_open.viz.recording import visualize
+
+        visualize(config, log, partial / "recording.rrd")
+        return {}
+
+    return artefacts.build(out, kind="recording", config=config, parents=[log], work=work)
+
+
+def _draw(config: VizConfig, sources: list[Path], out: Path) -> Outcome:
+    log, *others = sources
+
+    def work(partial: Path) -> dict[str, str]:
+        from gym_open.viz.figures import draw_run_figure
+
+        draw_run_figure(log, others, partial / "run.png")
+        return {}
+
+    return artefacts.build(out, kind="figure", config=config, parents=sources, work=work)
+
+
 @dataclass
 class Journal:
-    """Runs the stages one by one and remembers what came of each."""
+    """Runs the stages one by one, says so, and remembers what came of each."""
 
-    console: Console
+    voice: Voice
+    total: int
+    """Stages that there are."""
     rows: list[tuple[str, str, str, str]] = field(default_factory=list)
     made: int = 0
 
-    def stage(self, name: str, work: Callable[[], Outcome]) -> Path:
+    def stage(self, stage: Stage) -> None:
         """Run one stage, or find it up to date."""
+        console = self.voice.console
+        if not (console.is_terminal and progress.on_terminal()):  # there, its bar says that it has begun
+            console.print(f"{len(self.rows) + 1}/{self.total} {stage.name} …", highlight=False)
         started = time.perf_counter()
-        outcome = work()
+        with progress.stage(stage.name):
+            outcome = stage.make()
         seconds = time.perf_counter() - started
         self.made += outcome.made
         result = "made" if outcome.made else "up to date"
-        self.rows.append((name, result, f"{seconds:.1f} s", artefacts.digest(outcome.path)[:12]))
+        self.rows.append((stage.name, result, f"{seconds:.1f} s", artefacts.digest(outcome.path)[:12]))
         kept = f", the earlier one is now {markup(outcome.earlier.name)}" if outcome.earlier else ""
-        self.console.print(f"[bold]{name:<27}[/] {result} ({seconds:.1f} s){kept}", highlight=False)
-        return outcome.path
+        console.print(f"[bold]{stage.name:<27}[/] {result} ({seconds:.1f} s){kept}", highlight=False, soft_wrap=True)
+        self.voice.record(stage_record(stage.name, outcome, seconds))
 
 
-def run(root: Path, seed: int, console: Console) -> None:
+def run(root: Path, seed: int, voice: Voice) -> None:
     """Take the workspace at `root` through all stages with one root seed.
 
     Raises:
         UsageError: if `root` is no workspace or a configuration is wrong; nothing was started then.
         GymOpenError: if a stage fails; what earlier stages made stays.
     """
+    started = time.perf_counter()
     workspace.check(root)
     plan = read_plan(root, seed)
-    journal = Journal(console)
-    started = time.perf_counter()
-    log, release, encoder = _learn_without_task(plan, root, seed, journal)
-    probe, policies, scores = _learn_the_task(plan, root, seed, encoder, journal)
-    recording, figure = _look(plan, root, seed, [log, *policies, *scores.values()], journal)
-    if not journal.made:
-        console.print(f"[bold green]nothing to do:[/] all {len(journal.rows)} stages are up to date", highlight=False)
-    for table in (stage_table(journal.rows), probe_table(probe), score_table(scores)):
-        console.print(table)
+    row = stages(plan, root, seed)
+    expected = _begin(plan, root, row, voice)
+    journal = Journal(voice, len(row))
+    for stage in row:
+        journal.stage(stage)
+    folders = {stage.name: stage.folder for stage in row}
+    scores = {name.removeprefix("evaluate "): path for name, path in folders.items() if name.startswith("evaluate ")}
+    for table in (stage_table(journal.rows), probe_table(folders["train probe"]), score_table(scores)):
+        voice.console.print(table)
     for name, path in scores.items():
-        console.print(markup(proof_text(name, path)), highlight=False)
-    console.print(f"({PAPER_NOTE})\ntotal {time.perf_counter() - started:.0f} s", highlight=False)
-    console.print(f"\ncurves: {markup(short(figure / 'run.png'))}", highlight=False, soft_wrap=True)
-    longer = root / "train/policy-strong.toml"
+        voice.console.print(markup(proof_text(name, path)), highlight=False)
+    voice.console.print(f"({PAPER_NOTE})\n", highlight=False)
+    _end(journal, scores, f"{_exact(time.perf_counter() - started)}{expected}", voice)
+    voice.say(f"  curves: {short(folders['viz figure'] / 'run.png')}")
+    longer = f"--config {word(root / 'train/policy-strong.toml')} --encoder {word(folders['train encoder'])}"
     for line in (
-        f"rerun {word(recording / 'recording.rrd')}",
-        f"gym-open viz {word(release)} --save release.rrd",
-        f"gym-open train policy --config {word(longer)} --encoder {word(encoder)}",
+        f"rerun {word(folders['viz recording'] / 'recording.rrd')}",
+        f"gym-open viz {word(folders['dataset build'])} --save release.rrd",
+        f"gym-open train policy {longer}",
         f"gym-open run --workspace {word(root)} --seed {seed + 1}",
     ):
-        console.print(f"next: {markup(line)}", highlight=False, soft_wrap=True)
+        voice.say(f"  next: {line}")
 
 
-def _learn_without_task(plan: Plan, root: Path, seed: int, journal: Journal) -> tuple[Path, Path, Path]:
-    from gym_open.collect.explore import collect
-    from gym_open.datasets.build import build_release
-    from gym_open.train.encoder import train_encoder
-
-    log = journal.stage("collect", lambda: collect(plan.collect, root / f"collect/logs/curl-ride-seed{seed}"))
-    named = msgspec.structs.replace(plan.release, name=f"{plan.release.name}-seed{seed}")
-    folder = root / "datasets" / named.name / named.version
-    release = journal.stage("dataset build", lambda: build_release(named, [log], folder, replace=True))
-    encoder = journal.stage(
-        "train encoder", lambda: train_encoder(plan.encoder, release, root / f"train/encoders/curl-seed{seed}")
-    )
-    return log, release, encoder
-
-
-def _learn_the_task(
-    plan: Plan, root: Path, seed: int, encoder: Path, journal: Journal
-) -> tuple[Path, list[Path], dict[str, Path]]:
-    from gym_open.evaluate.play import evaluate
-    from gym_open.train.policy import train_policy
-    from gym_open.train.probe import probe
-
-    probed = journal.stage("train probe", lambda: probe(plan.probe, encoder, root / f"train/probes/curl-seed{seed}"))
-    task = plan.policy.task
-    policies: dict[str, Path | None] = {}
-    for name, start in (("from encoder", encoder), ("from scratch", None)):
-        folder = root / f"train/policies/{task}-{'curl' if start else 'scratch'}-seed{seed}"
-        policies[f"PPO {name}"] = journal.stage(
-            f"train policy {name}", lambda start=start, folder=folder: train_policy(plan.policy, start, folder)
-        )
-    policies["random"] = None
-    scores = {}
-    for name, policy in policies.items():
-        folder = root / "evaluate/scores" / (policy.name if policy else f"{task}-random-seed{seed}")
-        config = plan.evaluate if policy else msgspec.structs.replace(plan.evaluate, actions="sampled")
-        scores[name] = journal.stage(
-            f"evaluate {name}",
-            lambda policy=policy, folder=folder, config=config: evaluate(config, policy, folder),
-        )
-    return probed, [policy for policy in policies.values() if policy], scores
+def _begin(plan: Plan, root: Path, row: Sequence[Stage], voice: Voice) -> str:
+    """Say what was found and what is expected; give the expectation for the end, if there is one."""
+    if voice.quiet:  # nobody reads it
+        return ""
+    if warning := outlook.too_full(root, work.bytes_written(plan.collect)):
+        voice.console.print(f"[bold yellow]warning:[/] {markup(warning)}", highlight=False, soft_wrap=True)
+    found, left = f"gym-open {gym_open.__version__} on {outlook.found(row, root)}", outlook.to_do(row)
+    if not left:
+        voice.say(f"{found}: all {len(row)} stages seem to be up to date")
+        return ""
+    expected = outlook.expected(left)
+    which = f"{len(row)} stages" if len(left) == len(row) else f"the {len(left)} of {len(row)} stages that are left"
+    voice.say(f"{found}: {expected} for {which}")
+    return f" ({expected} expected)"
 
 
-def _look(plan: Plan, root: Path, seed: int, sources: list[Path], journal: Journal) -> tuple[Path, Path]:
-    from gym_open.viz.figures import draw_run_figure
-    from gym_open.viz.recording import visualize
+def _end(journal: Journal, scores: dict[str, Path], took: str, voice: Voice) -> None:
+    reached = ", ".join(f"{name} {read_json(path / 'scores.json')['a_success']:.3f}" for name, path in scores.items())
+    if journal.made:
+        voice.result(f"{journal.made} of {journal.total} stages in {took}; A-Success: {reached}", verb="made")
+    else:
+        voice.result(f"all {journal.total} stages are up to date; A-Success: {reached}", verb="nothing to do:")
 
-    log, *others = sources
 
-    def record(partial: Path) -> dict[str, str]:
-        visualize(plan.viz, log, partial / "recording.rrd")
-        return {}
-
-    def draw(partial: Path) -> dict[str, str]:
-        draw_run_figure(log, others, partial / "run.png")
-        return {}
-
-    def artefact(kind: str, parents: list[Path], work: Callable[[Path], dict[str, str]], folder: str) -> Outcome:
-        return artefacts.build(root / folder, kind=kind, config=plan.viz, parents=parents, work=work)
-
-    recording = journal.stage(
-        "viz recording", lambda: artefact("recording", [log], record, f"viz/recordings/run-seed{seed}")
-    )
-    figure = journal.stage("viz figure", lambda: artefact("figure", sources, draw, f"viz/figures/run-seed{seed}"))
-    return recording, figure
+def _exact(seconds: float) -> str:
+    whole = round(seconds)
+    return f"{whole // 60} min {whole % 60:02d} s" if whole >= 60 else f"{whole} s"

@@ -1,4 +1,4 @@
-"""Tables that a person reads at the end: scores, probes, proof. Everything comes from artefacts on disk."""
+"""What is said of artefacts: tables that a person reads, records that a program reads. All comes from disk."""
 
 import re
 import shlex
@@ -14,6 +14,7 @@ from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
+from gym_open import artefacts
 from gym_open.terminal import markup, printable
 
 PAPER_NOTE = "paper, goal-seeking, 1M steps: PPO from scratch .509, CURL+RIDE .532, human .584"
@@ -32,6 +33,34 @@ def word(path: Path) -> str:
 def read_json(path: Path) -> dict[str, Any]:
     """A payload file of an artefact as plain data."""
     return msgspec.json.decode(path.read_bytes())
+
+
+def stage_record(stage: str, made: artefacts.Outcome, seconds: float) -> dict[str, Any]:
+    """What a program is told of a stage that has ended, as plain data for JSON.
+
+    `figures` holds the numbers, names and yes-or-no facts of the artefact's lineage; for scores also who played how
+    well, and for a probe the gain of each target.
+    """
+    about = artefacts.lineage(made.path)
+    figures = {name: fact for name, fact in about.facts.items() if isinstance(fact, int | float | str)}
+    if about.kind == "scores":
+        scores = read_json(made.path / "scores.json")
+        figures |= {name: scores[name] for name in _SCORES} | {"proof": scores["proof"]["verdict"]}
+    if about.kind == "probe":
+        targets = read_json(made.path / "probe.json")["targets"]
+        figures |= {f"gain_{target}": row["gain"]["value"] for target, row in targets.items()}
+    return {
+        "stage": stage,
+        "result": "made" if made.made else "up-to-date",
+        "seconds": round(seconds, 1),
+        "path": str(made.path),
+        "digest": artefacts.digest(made.path),
+        "kind": about.kind,
+        "figures": figures,
+    }
+
+
+_SCORES = ("a_success", "a_success_half_width_95", "mean_return", "mean_steps", "trained")
 
 
 class Name:
@@ -62,7 +91,7 @@ def score_table(scores: Mapping[str, Path]) -> Table:
     table.add_column("agent")
     for name in ("A-Success (95%)", "return", "actions", "trained"):
         table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("task-free", max_width=len("no encoder"))
+    table.add_column(Name("task-free"), max_width=len("no encoder"))
     for name, path in scores.items():
         record = read_json(path / "scores.json")
         table.add_row(
@@ -114,7 +143,9 @@ def proof_text(name: str, scores: Path) -> str:
 
 def stage_table(rows: list[tuple[str, str, str, str]]) -> Table:
     """One row a stage: name, what came of it, seconds, digest."""
-    table = Table(title="stages", title_justify="left")
+    table = Table(
+        title="stages", title_justify="left", box=SIMPLE, show_edge=False, collapse_padding=True, pad_edge=False
+    )
     for name in ("stage", "result", "time", "digest"):
         table.add_column(name, justify="right" if name == "time" else "left", overflow="fold")
     for row in rows:

@@ -1,6 +1,15 @@
-"""Text on its way to a terminal: what comes from a file, a path or a person is only ever shown."""
+"""What a command says: text that is only ever shown, and who it is said to.
 
+What comes from a file, a path or a person goes through `printable` or `markup`, so that it steers no terminal.
+"""
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from rich.console import Console
 from rich.markup import escape
+from rich.text import Text
 
 
 def printable(text: str) -> str:
@@ -13,3 +22,38 @@ def printable(text: str) -> str:
 def markup(text: str) -> str:
     """As `printable`, for rich: it finds no markup of its own in it."""
     return escape(printable(text))
+
+
+class Voice:
+    """How a command speaks.
+
+    Attributes:
+        console: what a person reads: standard output, or standard error if a program reads standard output.
+        quiet: a person reads results alone.
+        json: a program reads records.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self.console = console
+        self.quiet = self.json = False
+
+    def choose(self, *, quiet: bool, json: bool) -> None:
+        """Speak like this from now on."""
+        self.quiet, self.json = quiet, json
+        self.console.quiet, self.console.stderr = quiet, json
+
+    def say(self, text: str, *, verb: str = "") -> None:
+        """Print a text as it is, paths and all: nothing in it is markup. A `verb` comes before it, in green."""
+        words = Text.assemble((verb, "bold green"), " " if verb else "", printable(text))
+        self.console.print(words, soft_wrap=True)
+
+    def result(self, text: str, *, verb: str = "") -> None:
+        """As `say`, for what came of a command: the one line that is left when it is quiet, unless records say it."""
+        self.console.quiet = self.quiet and self.json
+        self.say(text, verb=verb)
+        self.console.quiet = self.quiet
+
+    def record(self, record: Mapping[str, Any]) -> None:
+        """Print a line of JSON on standard output at once, if a program reads it."""
+        if self.json:
+            print(json.dumps(record), flush=True)

@@ -1,7 +1,7 @@
 """The whole pipeline on a tiny run: from play to score, twice in two folders, once killed in the middle."""
 
-import io
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -12,14 +12,12 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 import pytest
-from rich.console import Console
 
 from gym_open import artefacts, workspace
 from gym_open.cli import main
-from gym_open.config import Config
+from gym_open.config import to_dict
 from gym_open.evaluate import a_success
-from gym_open.evaluate.config import EvaluateConfig
-from gym_open.pipeline import Journal, _learn_the_task, read_plan
+from gym_open.pipeline import read_plan, stages
 from tests.children import killed_at, run, started
 
 TINY = {
@@ -69,26 +67,13 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runs]:
     shutil.rmtree(base)
 
 
-def test_policies_may_be_scored_on_their_likeliest_actions_but_random_play_has_none(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_policies_may_be_scored_on_their_likeliest_actions_but_random_play_has_none(tmp_path: Path) -> None:
     workspace.init(tmp_path)
     (tmp_path / "evaluate/goal-seeking.toml").write_text('actions = "greedy"')
-    scored = []
-
-    def stage(_config: Config, _from: Path | None, out: Path) -> artefacts.Outcome:
-        return artefacts.build(out, kind="toy", config=Config(), parents=(), work=lambda _: {})
-
-    def evaluate(config: EvaluateConfig, policy: Path | None, out: Path) -> artefacts.Outcome:
-        scored.append((policy is not None, config.actions))
-        return stage(config, policy, out)
-
-    monkeypatch.setattr("gym_open.train.probe.probe", stage)
-    monkeypatch.setattr("gym_open.train.policy.train_policy", stage)
-    monkeypatch.setattr("gym_open.evaluate.play.evaluate", evaluate)
-    journal = Journal(Console(file=io.StringIO()))
-    _learn_the_task(read_plan(tmp_path, 0), tmp_path, 0, tmp_path / "encoder", journal)
-    assert scored == [(True, "greedy"), (True, "greedy"), (False, "sampled")]
+    scored = [
+        stage.config for stage in stages(read_plan(tmp_path, 0), tmp_path, 0) if stage.name.startswith("evaluate")
+    ]
+    assert [to_dict(config)["actions"] for config in scored] == ["greedy", "greedy", "sampled"]
 
 
 def test_everything_that_a_run_promises_is_there(runs: Runs) -> None:
@@ -132,12 +117,75 @@ def test_the_policy_from_the_encoder_is_proven_task_free(runs: Runs) -> None:
     assert proof["chain"][-1].endswith(log[:12])
 
 
+def test_in_a_pipe_every_stage_says_when_it_begins_and_when_it_ends(runs: Runs) -> None:
+    row = stages(read_plan(runs.root, 0), runs.root, 0)
+    patterns = [r"gym-open [0-9.]+ on \d+ cores?, .+ free: .+ for 11 stages"]
+    for number, stage in enumerate(row, 1):
+        patterns += [rf"{number}/{len(row)} {stage.name} …", rf"{stage.name} +made \([0-9.]+ s\)"]
+    patterns[2:2] = ["exploring: 0 of 768", r"exploring: 768 of 768 in .+/s; loss of the worlds .+"]
+    patterns.append(r"made 11 of 11 stages in .+ \(.+ expected\); A-Success: PPO from encoder 0\..+")
+    said = iter(runs.shown.splitlines())
+    for pattern in patterns:  # in this order; what is between depends on how slow the machine is
+        assert any(re.fullmatch(pattern, line) for line in said), f"{pattern}\n{runs.shown}"
+    assert "\x1b" not in runs.shown
+
+
 def test_a_second_run_does_nothing_and_says_so(runs: Runs, capsys: pytest.CaptureFixture[str]) -> None:
     root = runs.root
     before = {path: path.stat().st_mtime_ns for path in root.rglob("*")}
     assert main(["run", "--workspace", str(root)]) == 0
-    assert "nothing to do" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "all 11 stages seem to be up to date" in shown.splitlines()[0]
+    assert "nothing to do: all 11 stages are up to date; A-Success: " in shown
     assert {path: path.stat().st_mtime_ns for path in root.rglob("*") if path in before} == before
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_a_program_reads_a_record_a_stage(quiet: bool, runs: Runs, capsys: pytest.CaptureFixture[str]) -> None:
+    root = runs.root
+    assert main(["run", "--workspace", str(root), "--json", *["--quiet"] * quiet]) == 0
+    said = capsys.readouterr()
+    records = [json.loads(line) for line in said.out.splitlines()]
+    row = stages(read_plan(root, 0), root, 0)
+    assert [(record["stage"], Path(record["path"])) for record in records] == [(s.name, s.folder) for s in row]
+    assert {record["result"] for record in records} == {"up-to-date"}
+    assert all(record["seconds"] >= 0 for record in records)
+    assert [record["digest"] for record in records] == [artefacts.digest(stage.folder) for stage in row]
+    figures = {record["stage"]: record["figures"] for record in records}
+    scores = json.loads((row[6].folder / "scores.json").read_text())
+    probe = json.loads((row[3].folder / "probe.json").read_text())["targets"]
+    assert figures["collect"]["steps"] == 768
+    assert figures["evaluate PPO from encoder"]["a_success"] == scores["a_success"]
+    assert figures["evaluate PPO from encoder"]["proof"] == "proven"
+    assert figures["train probe"]["gain_agent"] == probe["agent"]["gain"]["value"]
+    assert ("linear probe" in said.err) == (not quiet)
+    assert quiet == (not said.err)
+
+
+def test_who_wants_it_quiet_reads_one_line(runs: Runs, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "--workspace", str(runs.root), "--quiet"]) == 0
+    said = capsys.readouterr()
+    assert re.fullmatch(r"nothing to do: all 11 stages are up to date; A-Success: .*random 0\.\d+\n", said.out)
+    assert not said.err
+
+
+def test_a_stage_alone_is_quiet_and_tells_programs_too(
+    runs: Runs, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["evaluate", "--workspace", str(runs.root), "--out", str(tmp_path / "scores")]
+    assert main([*words, "--json"]) == 0
+    said = capsys.readouterr()
+    record = json.loads(said.out)
+    assert (record["stage"], record["result"], record["path"]) == ("evaluate", "made", str(tmp_path / "scores"))
+    assert record["figures"]["puzzles"] == 100
+    assert said.err.startswith("evaluate …\n")
+    assert "next: gym-open score verify" in said.err
+    assert main([*words, "--quiet"]) == 0
+    said = capsys.readouterr()
+    assert said.out == f"up to date, nothing to do: {tmp_path / 'scores'}  (digest {record['digest'][:16]})\n"
+    assert not said.err
+    assert main(words) == 0  # nothing of this stays
+    assert "next: gym-open score verify" in capsys.readouterr().out
 
 
 def test_killed_twice_in_another_folder_it_ends_with_the_same_digests(runs: Runs) -> None:

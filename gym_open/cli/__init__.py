@@ -16,7 +16,7 @@ import tyro
 import gym_open
 from gym_open import extras
 from gym_open.cli import datasets, logs, results, stages, viz, world
-from gym_open.cli.base import Command
+from gym_open.cli.base import Command, speaking
 from gym_open.config import check, load
 from gym_open.envs.look.backend import check_backend
 from gym_open.errors import ConfigError, GymOpenError
@@ -99,7 +99,7 @@ def _run(name: str, words: list[str]) -> int:
         check_backend()
         command = _parse(name, words)
         extras.check(*_NEEDS.get(name.split(maxsplit=1)[0], ()))
-        with extras.Named():
+        with extras.Named(), speaking(command, name):
             command.run()
     except GymOpenError as error:
         print(f"error: {printable(str(error))}", file=sys.stderr)

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import tyro
 
 from gym_open import artefacts
-from gym_open.cli.base import Command, out, report, say
+from gym_open.cli.base import Command, Making, out, report, say
 from gym_open.cli.stages import Settings, StageCommand
 from gym_open.config import check
 from gym_open.datasets.config import FilterConfig, Header, License, MergeConfig, ReleaseConfig
@@ -21,7 +21,7 @@ Release = Annotated[Path, tyro.conf.Positional]
 
 
 @dataclass(frozen=True, kw_only=True)
-class DatasetBuild(StageCommand):
+class DatasetBuild(Making, StageCommand):
     """Turn logs into a versioned LeRobot v3.0 release, frames bit-exact.
 
     The version must be the one that follows from what has changed since the last; `gym-open dataset diff` says which.
@@ -195,7 +195,7 @@ class DatasetExport(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Derived(Command):
+class _Derived(Making):
     """What a release made of releases is called."""
 
     name: str

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from gym_open.cli.base import Command, out, report, say
+from gym_open.cli.base import Command, Making, out, report, say
 from gym_open.config import load
 from gym_open.errors import UsageError
 from gym_open.evaluate.config import ReportConfig
@@ -44,7 +44,7 @@ class Benchmark(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Report(Command):
+class Report(Making):
     """Put all scores below some folders on one page: tables, intervals, curves, proofs, configurations.
 
     Example: gym-open report evaluate/scores --out evaluate/reports/first

@@ -7,8 +7,8 @@ from typing import Annotated, Any, ClassVar, TypeVar
 
 import tyro
 
-from gym_open import workspace
-from gym_open.cli.base import Command, out, report, say
+from gym_open import progress, workspace
+from gym_open.cli.base import Command, Making, out, report, say, voice
 from gym_open.collect.config import CollectConfig
 from gym_open.config import Config
 from gym_open.evaluate.config import EvaluateConfig
@@ -44,7 +44,7 @@ def _recording(made: Path) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Collect(StageCommand):
+class Collect(Making, StageCommand):
     """Explore the sandbox without a task and log every step (MCAP).
 
     Example: gym-open collect --config collect/icm.toml --steps 5000 --out collect/logs/short
@@ -59,7 +59,8 @@ class Collect(StageCommand):
 
     def run(self) -> None:
         """Collect."""
-        from gym_open.collect.explore import collect
+        with progress.doing("loading PyTorch"):
+            from gym_open.collect.explore import collect
         from gym_open.collect.report import summary_table
 
         made = collect(self.settings, self.place(self.out, "collect/logs"))
@@ -74,7 +75,7 @@ class Collect(StageCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainEncoder(StageCommand):
+class TrainEncoder(Making, StageCommand):
     """Learn an encoder from a release, off-line.
 
     Example: gym-open train encoder --release datasets/open/explore/1.0.0 --updates 200
@@ -95,7 +96,8 @@ class TrainEncoder(StageCommand):
 
     def run(self) -> None:
         """Train."""
-        from gym_open.train.encoder import train_encoder
+        with progress.doing("loading PyTorch"):
+            from gym_open.train.encoder import train_encoder
 
         folder = self.place(self.out, "train/encoders")
         made = train_encoder(self.settings, self.release, folder, tensorboard=self.tensorboard, cache=self.cache)
@@ -104,7 +106,7 @@ class TrainEncoder(StageCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainPolicy(StageCommand):
+class TrainPolicy(Making, StageCommand):
     """Train a policy on one task with PPO, from an encoder or from scratch.
 
     The encoder may be one trained off-line from a release, or the one that an explorer ended with, in its log.
@@ -127,7 +129,8 @@ class TrainPolicy(StageCommand):
 
     def run(self) -> None:
         """Train."""
-        from gym_open.train.policy import train_policy
+        with progress.doing("loading PyTorch"):
+            from gym_open.train.policy import train_policy
 
         folder = self.place(self.out, "train/policies")
         made = train_policy(self.settings, self.encoder, folder, tensorboard=self.tensorboard)
@@ -135,7 +138,7 @@ class TrainPolicy(StageCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainProbe(StageCommand):
+class TrainProbe(Making, StageCommand):
     """Ask an encoder, by linear probes, where things are on tables that it never saw.
 
     Example: gym-open train probe --encoder train/encoders/encoder-curl
@@ -152,7 +155,8 @@ class TrainProbe(StageCommand):
 
     def run(self) -> None:
         """Probe."""
-        from gym_open.train.probe import probe
+        with progress.doing("loading PyTorch"):
+            from gym_open.train.probe import probe
 
         made = probe(self.settings, self.encoder, self.place(self.out, "train/probes", self.encoder.name))
         out.print(probe_table(made.path))
@@ -160,7 +164,7 @@ class TrainProbe(StageCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evaluate(StageCommand):
+class Evaluate(Making, StageCommand):
     """Score a policy, or without one uniformly random actions, on a task's 100 fixed puzzles.
 
     The oracle replays what a planner that sees everything found: what can be scored at most.
@@ -183,7 +187,8 @@ class Evaluate(StageCommand):
 
     def run(self) -> None:
         """Evaluate."""
-        from gym_open.evaluate.play import evaluate
+        with progress.doing("loading the world"):
+            from gym_open.evaluate.play import evaluate
 
         name = self._name()
         folder = self.place(self.out, "evaluate/scores", name)
@@ -202,12 +207,14 @@ class Evaluate(StageCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Run(Command):
+class Run(Making):
     """Take a workspace through all stages: play, log, release, learn, fine-tune, score, look.
 
     What is up to date is skipped; after a kill, the same command goes on where it was.
 
     Example: gym-open run --workspace ~/my-workspace --seed 1
+
+    In a script: gym-open run --json --quiet | jq 'select(.kind == "scores") | .figures.a_success'
     """
 
     workspace: Path = Path()
@@ -215,13 +222,14 @@ class Run(Command):
     seed: int = 0
     """Root seed of every stage; part of the artefacts' names."""
 
+    stages = True
     about = "all stages, from play to score; the place to start"
 
     def run(self) -> None:
         """Run all."""
         from gym_open.pipeline import run
 
-        run(self.workspace, self.seed, out)
+        run(self.workspace, self.seed, voice)
 
 
 @dataclass(frozen=True, kw_only=True)
