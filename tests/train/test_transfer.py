@@ -23,7 +23,7 @@ def taught(request: pytest.FixtureRequest) -> Encoder:
 
 
 def pictures() -> torch.Tensor:
-    return torch.randint(0, 256, (300, 84, 84, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
+    return torch.randint(0, 256, (60, 84, 84, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
 
 
 def untrained(like: Encoder, images: torch.Tensor) -> torch.Tensor:
