@@ -38,21 +38,6 @@ class Convolutions(nn.Sequential):
         return features
 
 
-class Convolutions(nn.Sequential):
-    """The layers that `convolutions` makes; the first six in one go where they compute in fp32 on a CPU."""
-
-    def forward(self, input: Tensor) -> Tensor:  # noqa: A002  (its name in PyTorch)
-        """(B, 3, 84, 84) to (B, features)."""
-        layers = list(self)
-        three = cast("list[nn.Conv2d]", layers[:6:2])
-        if not convolve.suits(three, input):
-            return super().forward(input)
-        features = convolve.three_layers(input, three, getattr(layers[1], "negative_slope", 0.0))
-        for layer in layers[7:]:  # after `nn.Flatten`
-            features = layer(features)
-        return features
-
-
 def convolutions(features: int, activation: Callable[[], nn.Module], generator: torch.Generator) -> nn.Sequential:
     """The network of Mnih et al. 2015: convolutions 32 8×8/4, 64 4×4/2, 64 3×3/1, then a linear layer of `features`.
 
