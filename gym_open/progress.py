@@ -232,9 +232,10 @@ def doing(title: str, hint: str = "") -> Iterator[None]:
         with stage(title, hint):
             yield
         return
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    why = TextColumn(f"({hint})" if hint else "", table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1))
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn(), why)
     with Progress(*columns, console=console, transient=True) as progress:
-        progress.add_task(f"{title} ({hint})" if hint else title, total=None)
+        progress.add_task(title, total=None)
         yield
 
 
