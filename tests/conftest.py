@@ -13,13 +13,18 @@ from hypothesis import HealthCheck, settings
 
 from gym_open import artefacts
 from gym_open.config import Config
+from tests.children import HANG_S
 
 settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any machine")  # no test fails because a machine is slow
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Where Python is told to keep no bytecode, each of many processes would compile PyTorch anew: share it here."""
+    """Let Hugging Face's client wait, and let processes share the bytecode of what they import.
+
+    Where Python is told to keep none, each of the many would compile PyTorch anew.
+    """
+    os.environ["HF_HUB_ETAG_TIMEOUT"] = os.environ["HF_HUB_DOWNLOAD_TIMEOUT"] = str(round(HANG_S))
     if sys.dont_write_bytecode and config.cache is not None:
         sys.dont_write_bytecode, sys.pycache_prefix = False, str(config.cache.mkdir("bytecode"))
         os.environ.pop("PYTHONDONTWRITEBYTECODE", None)

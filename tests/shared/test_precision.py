@@ -2,8 +2,6 @@
 
 import os
 import platform
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,6 +16,7 @@ from gym_open.formats.logs import open_logs
 from gym_open.precision import Precision, native_precision, resolve, settle
 from gym_open.train import policy
 from gym_open.train.config import PolicyTrainConfig
+from tests.children import python
 
 LIMITED = {"ATEN_CPU_CAPABILITY": "avx2", "ONEDNN_MAX_CPU_ISA": "AVX2"}
 """With these, PyTorch treats an AVX-512 processor as one that has AVX2 alone."""
@@ -45,10 +44,8 @@ def test_bf16_is_chosen_where_the_processors_own_flags_have_it() -> None:
 
 def test_a_processor_limited_to_avx2_computes_in_fp32() -> None:
     code = "from gym_open.precision import native_precision; print(native_precision())"
-    found = subprocess.run(
-        [sys.executable, "-c", code], env=os.environ | LIMITED, capture_output=True, text=True, check=True
-    )
-    assert found.stdout == "fp32\n"
+    found = python(code, env=os.environ | LIMITED)
+    assert found.stdout == "fp32\n", found.stderr
 
 
 def test_a_run_keeps_the_precision_in_which_it_began(

@@ -33,6 +33,7 @@ def replay_apart(release: Release, tolerance: float, findings: Findings) -> Repl
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "replay"
         code = f"import sys; from {__name__} import main; main(*sys.argv[1:])"
+        code = f"from gym_open.processes import end_with_parent as end; end(); {code}"
         words = [sys.executable, "-c", code, str(release.root.absolute()), repr(tolerance), str(out)]
         done = subprocess.run(words, cwd=folder, stdout=subprocess.DEVNULL, check=False)  # noqa: S603  # our own module
         if done.returncode == 0:

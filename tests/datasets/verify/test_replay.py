@@ -1,5 +1,6 @@
 """What the replay alone can find: releases that are changed as they are read, and played again."""
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,18 @@ from gym_open.datasets.verify.replaying import Replay, replay_release
 from gym_open.datasets.verify.report import Findings
 from gym_open.formats.releases.info import read_info
 from gym_open.formats.releases.reader import Release
+from tests.children import is_alive, started, until
 
+ASK = """
+import os, sys
+from pathlib import Path
+from gym_open.datasets.verify.apart import replay_apart
+from gym_open.datasets.verify.report import Findings
+from gym_open.formats.releases import open_release
+release = open_release(Path(sys.argv[1]))
+os.environ["PYTHONPATH"] = sys.argv[2]
+replay_apart(release, 1e-3, Findings())
+"""
 Numbers = Callable[[int, int], dict[str, np.ndarray]]
 
 
@@ -96,3 +108,14 @@ def test_nothing_replayed_is_not_verified(release: Release) -> None:
     replay, problems = replayed(release)
     assert (replay.windows, replay.skipped) == ([], 48)
     assert ["none of 48 steps has a stored state before it" in what for what in problems] == [True]
+
+
+def test_a_replay_of_its_own_process_ends_with_whoever_asked_for_it(root: Path, tmp_path: Path) -> None:
+    """It is held up where it imports MuJoCo."""
+    said = tmp_path / "pid"
+    code = f"import os, signal; open({str(said)!r}, 'w').write(str(os.getpid())); signal.pause()"
+    (tmp_path / "mujoco.py").write_text(code)
+    with started([sys.executable, "-c", ASK, root, tmp_path]) as asked:
+        pid = int(until(lambda: said.is_file() and said.read_text(), asked))
+        asked.kill()
+        until(lambda: not is_alive(pid))
