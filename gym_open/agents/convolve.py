@@ -7,8 +7,8 @@ products are added up in registers (`tiles`), and bias and ReLU are part of the 
 of the whole network take .97 × the time of the products alone, with AVX2 as with AVX-512; with PyTorch's layers they
 take 1.31 × and 1.19 × (`benchmarks/bench_ppo.py`).
 
-Every number is the sum of its products in one fixed order, so that neither the number of pictures nor that of threads
-changes a feature. Gradients of weights are sums over pictures: another number of threads may change their last bits.
+Every number is the sum of its products in one fixed order, so that what these layers make of a picture does not depend
+on the pictures beside it.
 
 How it is done: pictures lie with channels last, so that what a kernel looks at is a run of `kernel · channels` numbers
 in each of `kernel` rows, and an output is the sum of `kernel` dot products of runs, of which `add_rows` makes a tile at
@@ -24,7 +24,6 @@ import torch
 from torch import Tensor, nn
 
 from gym_open.agents.buffers import borrow
-from gym_open.agents.threads import in_parts
 from gym_open.agents.tiles import ROWS, WIDTH, add_columns, add_rows
 from gym_open.envs.jit import compiled
 
@@ -91,13 +90,8 @@ class _ThreeLayers(torch.autograd.Function):
         biases = [bias.detach().numpy() for bias in weights[1::2]]
         n = len(prepared)
         features = borrow((n * N_FEATURES,), np.float32)
-        lower = [borrow((n * looks,), np.float32) for looks in (SECOND_LOOKS, THIRD_LOOKS) if keep]
-
-        def work(begin: int, end: int) -> None:
-            own = lower or [np.empty(CHUNK * looks, np.float32) for looks in (SECOND_LOOKS, THIRD_LOOKS)]
-            _forward(pictures, *packed, *biases, *own, features, slope, begin, end, keep)
-
-        in_parts(n, work)
+        lower = [borrow(((n if keep else CHUNK) * looks,), np.float32) for looks in (SECOND_LOOKS, THIRD_LOOKS)]
+        _forward(n, pictures, *packed, *biases, *lower, features, slope, keep)
         if keep:
             ctx.slope, ctx.seen = slope, (pictures, *lower, features)
             ctx.save_for_backward(*weights)
@@ -109,15 +103,14 @@ class _ThreeLayers(torch.autograd.Function):
         gradient = gradients[0].contiguous().view(-1).numpy()
         weights = ctx.saved_tensors
         upper = [weight.detach().permute(0, 2, 3, 1).contiguous().view(-1).numpy() for weight in weights[2::2]]
-
-        def work(begin: int, end: int) -> list[np.ndarray]:
-            sums = [np.zeros(weight.numel(), np.float32) for weight in weights]
-            _backward(*ctx.seen, gradient, *upper, *sums, ctx.slope, begin, end)
-            return sums
-
-        parts = in_parts(len(gradients[0]), work)
-        sums = [torch.from_numpy(sum(part[1:], start=part[0])) for part in zip(*parts, strict=True)]
-        return None, None, None, *(_like(one, weight) for one, weight in zip(sums, weights, strict=True))
+        sums = [np.zeros(weight.numel(), np.float32) for weight in weights]
+        _backward(len(gradients[0]), *ctx.seen, gradient, *upper, *sums, ctx.slope)
+        return (
+            None,
+            None,
+            None,
+            *(_like(torch.from_numpy(one), weight) for one, weight in zip(sums, weights, strict=True)),
+        )
 
 
 def _packed(weight: Tensor) -> np.ndarray:
@@ -137,6 +130,7 @@ def _like(gradient: Tensor, parameter: Tensor) -> Tensor:
 
 @compiled
 def _forward(  # noqa: PLR0917  # compiled code takes arguments by position
+    count: int,
     pictures: np.ndarray,
     packed1: np.ndarray,
     packed2: np.ndarray,
@@ -148,14 +142,12 @@ def _forward(  # noqa: PLR0917  # compiled code takes arguments by position
     second: np.ndarray,
     features: np.ndarray,
     slope: float,
-    begin: int,
-    end: int,
     keep: bool,
 ) -> None:
-    """Pictures `begin` to `end`; `first` and `second` take what those layers give, of all pictures if `keep`."""
+    """All pictures; `first` and `second` take what those layers give, of all pictures if `keep`, else of a chunk."""
     third = np.empty(CHUNK * N_FEATURES, np.float32)
-    for start in range(begin, end, CHUNK):
-        n = min(CHUNK, end - start)
+    for start in range(0, count, CHUNK):
+        n = min(CHUNK, count - start)
         at = start if keep else 0
         _convolve(FIRST, n, pictures, start * FIRST_LOOKS, packed1, bias1, first, at * SECOND_LOOKS, slope)
         _convolve(SECOND, n, first, at * SECOND_LOOKS, packed2, bias2, second, at * THIRD_LOOKS, slope)
@@ -169,6 +161,7 @@ def _forward(  # noqa: PLR0917  # compiled code takes arguments by position
 
 @compiled
 def _backward(  # noqa: PLR0917
+    count: int,
     pictures: np.ndarray,
     first: np.ndarray,
     second: np.ndarray,
@@ -183,14 +176,12 @@ def _backward(  # noqa: PLR0917
     d_weight3: np.ndarray,
     d_bias3: np.ndarray,
     slope: float,
-    begin: int,
-    end: int,
 ) -> None:
-    """Add up what pictures `begin` to `end` give to the gradients of weights, (K, K, C, O) flat, and biases."""
+    """Add up what all pictures give to the gradients of weights, (K, K, C, O) flat, and biases."""
     d_first, d_second = np.empty(CHUNK * SECOND_LOOKS, np.float32), np.empty(CHUNK * THIRD_LOOKS, np.float32)
     d_third, third = np.empty(CHUNK * N_FEATURES, np.float32), np.empty(CHUNK * N_FEATURES, np.float32)
-    for start in range(begin, end, CHUNK):
-        n = min(CHUNK, end - start)
+    for start in range(0, count, CHUNK):
+        n = min(CHUNK, count - start)
         for i in range(n):
             for output in range(N_OUTPUTS):
                 source, to = (start + i) * N_FEATURES + output * N_PLACES, i * N_FEATURES + output

@@ -19,6 +19,7 @@ from gym_open.agents.augment import draw_shifts, no_shifts
 from gym_open.agents.config import CurlConfig
 from gym_open.agents.encoder import Encoder, autocast
 from gym_open.agents.layers import init_layer
+from gym_open.agents.threads import through
 from gym_open.agents.world_model import Transitions, WorldModel
 
 
@@ -90,7 +91,7 @@ class Curl(WorldModel):
     @torch.no_grad()
     def _keys(self, images: Tensor, shifts: Tensor) -> Tensor:
         """What the key network makes of pictures, (B, latent) fp32."""
-        return self.key(self.encoder.prepare_shifted(images, shifts)).float()
+        return through(self.key, self.encoder.prepare_shifted(images, shifts)).float()
 
     def _logits(self, query: Tensor, keys: Tensor) -> Tensor:
         """Similarity `qᵀ W k` of each query with every key, (B, B) fp32: bf16 would put a floor under the loss."""

@@ -12,6 +12,7 @@ from gym_open.agents.augment import no_shifts, shift_each
 from gym_open.agents.config import EncoderConfig
 from gym_open.agents.impala import impala
 from gym_open.agents.layers import init_layer
+from gym_open.agents.threads import through
 from gym_open.precision import PrecisionSetting, resolve
 
 IMAGE_SHAPE = (84, 84, 3)
@@ -117,7 +118,7 @@ class Encoder(nn.Module):
 
     def forward(self, prepared: Tensor) -> Tensor:
         """Features (B, features) of prepared pictures (B, 3, 84, 84)."""
-        return self.layers(prepared)
+        return through(self.layers, prepared)
 
     @torch.no_grad()
     def encode(self, images: Tensor | np.ndarray) -> Tensor:

@@ -24,6 +24,7 @@ from gym_open.agents.augment import no_shifts, shift_each
 from gym_open.agents.config import RndConfig
 from gym_open.agents.encoder import IMAGE_SHAPE, Encoder, convolutions
 from gym_open.agents.layers import init_layer
+from gym_open.agents.threads import through
 from gym_open.agents.world_model import Transitions, WorldModel
 
 
@@ -108,5 +109,5 @@ class Rnd(WorldModel):
     def _error(self, images: Tensor, shifts: Tensor, features: Tensor) -> Tensor:
         """Square error averaged over the outputs, (B,) fp32, given the encoder's features of the shifted pictures."""
         with torch.no_grad():
-            target = self.target(self.normalised(images, shifts)).float()
+            target = through(self.target, self.normalised(images, shifts)).float()
         return (self.predictor(features).float() - target).square().mean(dim=1)

@@ -17,6 +17,7 @@ from msgspec import structs
 
 from gym_open import artefacts, progress
 from gym_open.agents.explorer import Acted, Explorer, Learned
+from gym_open.agents.threads import threads
 from gym_open.collect import checkpoint
 from gym_open.collect.config import CollectConfig
 from gym_open.collect.curriculum import RULES, Situation, smoothed
@@ -66,22 +67,17 @@ def collect(config: CollectConfig, out: Path) -> artefacts.Outcome:
 
 
 def _work(config: CollectConfig, folder: Path) -> Mapping[str, Any]:
-    threads = torch.get_num_threads()
-    torch.set_num_threads(config.threads)
     config, precision = _settled(config, folder)
-    try:
-        with ExitStack() as logs:
-            with progress.doing("preparing the worlds", progress.COMPILES):
-                exploration = Exploration(config, folder, logs)
-            try:
-                exploration.run()
-            except DivergedError as error:
-                raise DivergedError(
-                    f"{error} after {exploration.record.steps} steps: learning has diverged; give a lower "
-                    f"`explorer.ppo.learning_rate`, got {config.explorer.ppo.learning_rate:g}"
-                ) from None
-    finally:
-        torch.set_num_threads(threads)
+    with threads(config.threads), ExitStack() as logs:
+        with progress.doing("preparing the worlds", progress.COMPILES):
+            exploration = Exploration(config, folder, logs)
+        try:
+            exploration.run()
+        except DivergedError as error:
+            raise DivergedError(
+                f"{error} after {exploration.record.steps} steps: learning has diverged; give a lower "
+                f"`explorer.ppo.learning_rate`, got {config.explorer.ppo.learning_rate:g}"
+            ) from None
     exploration.finish()
     return {
         "task": "sandbox",

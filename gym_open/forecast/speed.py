@@ -9,6 +9,7 @@ import torch
 from gym_open.agents.augment import draw_shifts
 from gym_open.agents.encoder import IMAGE_SHAPE, Encoder, autocast
 from gym_open.agents.policy import ActorCritic
+from gym_open.agents.threads import threads
 from gym_open.envs.constants import N_ACTIONS
 from gym_open.envs.env import OpenEnv
 from gym_open.forecast.work import Passes, Work
@@ -59,13 +60,9 @@ def cost_of_step(most: float = 1000) -> float:
 
 def cost_of_picture(how: Passes, most: float = 1000) -> float:
     """Seconds that a picture takes to pass through a network; `most` pictures are enough to tell."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(how.threads)
-    try:
-        with torch.random.fork_rng(devices=[]):  # layers draw weights from it before they are given theirs
-            return mean_time(_pass(how), most / how.batch) / how.batch
-    finally:
-        torch.set_num_threads(threads)
+    # Layers draw weights from PyTorch's own generator before they are given theirs.
+    with threads(how.threads), torch.random.fork_rng(devices=[]):
+        return mean_time(_pass(how), most / how.batch) / how.batch
 
 
 def _pass(how: Passes) -> Callable[[], float]:

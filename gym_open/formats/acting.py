@@ -18,16 +18,17 @@ def load_judge(folder: Path, threads: int) -> tuple[Judge, bool]:
 
     Args:
         folder: of a policy, or of one of its checkpoints.
-        threads: torch's, of this process.
+        threads: of this process, to share pictures out among.
 
     Raises:
         ArtefactError: if a file is missing or damaged.
     """
     import torch
 
+    from gym_open.agents.threads import set_threads
     from gym_open.formats.models import load_policy
 
-    torch.set_num_threads(threads)
+    set_threads(threads)
     network = load_policy(folder).eval()
 
     @torch.inference_mode()

@@ -11,6 +11,7 @@ from msgspec import structs
 from gym_open import artefacts, progress, seeding
 from gym_open.agents.augment import draw_shifts
 from gym_open.agents.encoder import Encoder, autocast
+from gym_open.agents.threads import set_threads
 from gym_open.agents.world_model import Transitions
 from gym_open.agents.world_models import WORLD_MODELS
 from gym_open.envs.constants import N_ACTIONS
@@ -63,7 +64,7 @@ def train_encoder(
     check_device(config.device)
 
     def work(partial: Path) -> Mapping[str, Any]:
-        torch.set_num_threads(config.threads)
+        set_threads(config.threads)
         scratch = partial / artefacts.SCRATCH
         precision = settle(config.precision, config.device, scratch)
         pictures = Pictures(open_release(release), cache=cache or scratch)  # a resumed run finds them there

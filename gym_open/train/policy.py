@@ -13,6 +13,7 @@ from gym_open.agents.encoder import Encoder, autocast
 from gym_open.agents.policy import ActorCritic, make_encoder
 from gym_open.agents.ppo import PPOStats, Rollout, ppo_update
 from gym_open.agents.state import StateEncoder
+from gym_open.agents.threads import set_threads
 from gym_open.config import to_dict
 from gym_open.envs.constants import N_ACTIONS
 from gym_open.envs.env import OpenEnv
@@ -76,7 +77,7 @@ def train_policy(
         raise ConfigError("frozen: true, but there is no encoder to leave as it is; give --encoder, or false")
 
     def work(partial: Path) -> Mapping[str, Any]:
-        torch.set_num_threads(config.threads)
+        set_threads(config.threads)
         precision = settle(config.ppo.precision, config.device, partial / artefacts.SCRATCH)
         settled = structs.replace(config, ppo=structs.replace(config.ppo, precision=precision))
         with progress.doing("preparing the puzzles", progress.COMPILES):

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from gym_open import artefacts, progress, seeding
 from gym_open.agents.encoder import Encoder
+from gym_open.agents.threads import threads
 from gym_open.artefacts import Lineage
 from gym_open.envs.constants import MOVES as DIRECTIONS
 from gym_open.envs.constants import PITCH
@@ -95,7 +96,8 @@ def score(config: ProbeConfig, trained: Encoder, samples: Mapping[str, Sample]) 
     with progress.bar("probe", 1 + config.untrained + config.pixels) as bar:
 
         def look(encoder: Encoder | None) -> Found:
-            features = {part: _features(encoder, sample.images) for part, sample in samples.items()}
+            with threads(config.threads):
+                features = {part: _features(encoder, sample.images) for part, sample in samples.items()}
             looked = _look(config, features, samples, resamples)
             bar.advance()
             return looked
