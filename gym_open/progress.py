@@ -233,7 +233,8 @@ def doing(title: str, hint: str = "") -> Iterator[None]:
             yield
         return
     why = TextColumn(f"({hint})" if hint else "", table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1))
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn(), why)
+    what = TextColumn("{task.description}", table_column=Column(no_wrap=True, min_width=len(title)))
+    columns = (SpinnerColumn(), what, TimeElapsedColumn(), why)
     with Progress(*columns, console=console, transient=True) as progress:
         progress.add_task(title, total=None)
         yield

@@ -149,7 +149,7 @@ def test_the_policy_from_the_encoder_is_proven_task_free(runs: Runs) -> None:
 
 def test_in_a_pipe_every_stage_says_when_it_begins_and_when_it_ends(runs: Runs) -> None:
     row = stages(read_plan(runs.root, 0), runs.root, 0)
-    patterns = [r"gym-open [0-9.]+ on \d+ cores?, .+ free: .+ for 11 stages"]
+    patterns = [r"gym-open [0-9.]+ on \d+ cores?.*, .+ free: .+ for 11 stages"]
     for number, stage in enumerate(row, 1):
         patterns += [rf"{number}/{len(row)} {stage.name} …", rf"{stage.name} +made \([0-9.]+ s\)"]
     patterns[2:2] = ["exploring: 0 of 768", r"exploring: 768 of 768 in .+/s; loss of the worlds .+"]

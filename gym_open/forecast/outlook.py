@@ -1,5 +1,6 @@
 """The line that a run begins with, and a warning if the disk is too small."""
 
+import os
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -61,7 +62,9 @@ def found(stages: Sequence[Stage], root: Path) -> str:
         device = torch.cuda.get_device_name() if torch.cuda.is_available() else "no GPU found"
     precisions = " and ".join(sorted({resolve(how.precision, how.device) for how in ways}))
     cores, free = usable_cores(), size(shutil.disk_usage(root).free)
-    return f"{cores} core{'s' * (cores > 1)}, {device}, {precisions}, {free} free"
+    load = os.getloadavg()[0]
+    busy = f" (busy: load {load:.0f})" if load >= cores + 1 else ""
+    return f"{cores} core{'s' * (cores > 1)}{busy}, {device}, {precisions}, {free} free"
 
 
 def expected(left: Sequence[Stage]) -> str:

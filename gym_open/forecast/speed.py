@@ -1,5 +1,6 @@
 """What this machine does in a second: steps of a world, and pictures through a network, each tried for a moment."""
 
+import statistics
 import time
 from collections.abc import Callable
 
@@ -17,6 +18,8 @@ from gym_open.precision import resolve
 
 ENOUGH = 0.15
 """Seconds that one thing is tried for, if it is not done sooner."""
+LONG = 1.0
+"""Seconds after which it is not tried again."""
 SHARE = 50
 """Nothing is tried for longer than this part of all that is to be done."""
 
@@ -55,14 +58,14 @@ def cost_of_step(most: float = 1000) -> float:
         if terminated or truncated:
             env.reset()
 
-    return mean_time(step, most)
+    return usual_time(step, most)
 
 
 def cost_of_picture(how: Passes, most: float = 1000) -> float:
     """Seconds that a picture takes to pass through a network; `most` pictures are enough to tell."""
     # Layers draw weights from PyTorch's own generator before they are given theirs.
     with threads(how.threads), torch.random.fork_rng(devices=[]):
-        return mean_time(_pass(how), most / how.batch) / how.batch
+        return usual_time(_pass(how), most / how.batch) / how.batch
 
 
 def _pass(how: Passes) -> Callable[[], float]:
@@ -88,13 +91,16 @@ def _pass(how: Passes) -> Callable[[], float]:
     return learn if how.learn else look
 
 
-def mean_time(once: Callable[[], object], most: float, *, clock: Callable[[], float] = time.perf_counter) -> float:
-    """Seconds that `once` takes, after a first time that does not count: tried for `ENOUGH`, or `most` times."""
+def usual_time(once: Callable[[], object], most: float, *, clock: Callable[[], float] = time.perf_counter) -> float:
+    """Seconds that `once` takes, the median of several times after a first that does not count.
+
+    It is tried for `ENOUGH` seconds and, if that takes no longer than `LONG`, three times at least, or `most` times. Of
+    three, one may be held up by other processes.
+    """
     once()
-    count, started = 0, clock()
-    while True:
+    times: list[float] = []
+    while len(times) < max(most, 1) and sum(times) < (ENOUGH if len(times) >= 3 else LONG):
+        started = clock()
         once()
-        count += 1
-        took = clock() - started
-        if took >= ENOUGH or count >= most:
-            return took / count
+        times.append(clock() - started)
+    return statistics.median(times)

@@ -52,18 +52,24 @@ def test_code_that_has_changed_leaves_all_to_do(tmp_path: Path) -> None:
     assert outlook.to_do([stage]) == [stage]
 
 
-def test_the_machine_is_described_as_far_as_it_matters(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_machine_is_described_as_far_as_it_matters(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     config = PolicyTrainConfig(steps=128, num_envs=4, num_steps=16, mean_images=4, threads=1)
     ppo = msgspec.structs.replace(config.ppo, precision="fp32")
     work = learning(msgspec.structs.replace(config, ppo=ppo), encoder=False)
     stage = Stage(name="policy", folder=tmp_path / "policy", config=config, work=work)
+    monkeypatch.setattr(outlook, "usable_cores", lambda: 2)
+    monkeypatch.setattr(os, "getloadavg", lambda: (2.9, 0.0, 0.0))
     cores, device, precision, free = outlook.found([stage], tmp_path).split(", ")
-    assert cores.split()[0] == str(usable_cores())
+    assert cores == "2 cores"
+    monkeypatch.setattr(os, "getloadavg", lambda: (7.4, 0.0, 0.0))
+    assert outlook.found([stage], tmp_path).startswith("2 cores (busy: load 7), ")
     assert (device, precision) == ("no GPU in use", "fp32")
     assert free.endswith("B free")
     assert outlook.expected([stage]).startswith(("less than", "about"))
     assert [line for line in capsys.readouterr().err.splitlines() if line.endswith("…")] == [
-        "loading PyTorch …", "getting ready …", "measuring this machine …",
+        "loading PyTorch …", "loading PyTorch …", "getting ready …", "measuring this machine …",
     ]  # fmt: skip
 
 

@@ -10,19 +10,27 @@ from gym_open.forecast.work import Passes, Work
 SMALL = EncoderConfig(features=16)
 
 
-def test_a_mean_does_not_count_the_first_time_and_ends_when_it_is_enough() -> None:
-    now, calls = 0.0, 0
+@pytest.mark.parametrize(
+    ("took", "most", "usual", "times"),
+    [
+        ([0.04] * 9, 1000, 0.04, 4),  # until 0.15 s have passed
+        ([0.8, 0.04, 0.05, 9.0], 1000, 0.05, 3),  # three times at least, of which one is held up
+        ([2.0, 0.04, 0.05, 9.0], 1000, 2.0, 1),  # unless that takes long
+        ([0.04] * 9, 2, 0.04, 2),
+        ([0.04] * 9, 0.1, 0.04, 1),
+    ],
+)
+def test_the_usual_time_is_a_median_without_the_first_time(
+    took: list[float], most: float, usual: float, times: int
+) -> None:
+    now, left = 0.0, [5.0, *took]
 
     def once() -> None:
-        nonlocal now, calls
-        calls += 1
-        now += 5.0 if calls == 1 else 0.04
+        nonlocal now
+        now += left.pop(0)
 
-    assert speed.mean_time(once, 1000, clock=lambda: now) == pytest.approx(0.04)
-    assert calls == 1 + 4  # until 0.15 s have passed
-    assert speed.mean_time(once, 2, clock=lambda: now) == pytest.approx(0.04)
-    assert calls == 5 + 1 + 2
-    assert speed.mean_time(once, 0.1, clock=lambda: now) == pytest.approx(0.04)  # once at least
+    assert speed.usual_time(once, most, clock=lambda: now) == pytest.approx(usual)
+    assert len(took) - len(left) == times
 
 
 @pytest.mark.parametrize("learn", [False, True])
