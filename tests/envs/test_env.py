@@ -170,6 +170,14 @@ def test_render_is_the_observation_or_a_handsome_picture() -> None:
         assert env.render() is None
 
 
+DRAW = """
+from gym_open.envs.env import OpenEnv
+env = OpenEnv(task="preferences", render_mode="rgb_array", render_look="handsome", render_size=(160, 120))
+env.reset(seed=0)
+assert env.render().any()
+"""
+
+
 def test_the_handsome_picture_needs_opengl() -> None:
     env = made("preferences", render_mode="rgb_array", render_look="handsome", render_size=(160, 120))
     env.reset(seed=0)
@@ -184,6 +192,15 @@ def test_the_handsome_picture_needs_opengl() -> None:
     assert (env.render() != first).any()
     env.close()
     env.close()
+
+
+def test_a_process_that_has_drawn_with_opengl_can_still_learn() -> None:
+    """PyTorch's first optimizer imports Triton, which must be loaded before Mesa."""
+    if find_backend() is None:
+        pytest.skip("no OpenGL here")
+    pytest.importorskip("triton", exc_type=ImportError)
+    done = python(f"{DRAW}import triton; print('learns')")
+    assert (done.returncode, done.stdout) == (0, "learns\n"), done.stderr
 
 
 def test_values_of_configurations_are_looked_at() -> None:
