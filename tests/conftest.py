@@ -32,6 +32,11 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix  # of xdist's processes and of tests' children
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the longest file, so that the other process has something to do until it ends."""
+    items.sort(key=lambda item: item.path.name != "test_pipeline.py")
+
+
 PARKED = ("green_2", "heavy_11", "light_0")
 """Objects that no puzzle of the log uses."""
 Lengths = tuple[tuple[int, ...], ...]
