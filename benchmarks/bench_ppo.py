@@ -1,13 +1,18 @@
-"""How fast PPO learns from pictures: beside what it cannot do without, and beside Stable-Baselines3's.
+"""How fast PPO learns from pictures: beside its matrix products alone, and beside Stable-Baselines3's.
 
-The floor of a step of an environment is the environment alone, the network's forward pass alone when it acts, and
-forward and backward pass alone in the update's epochs; below it lies the time that the network's products alone take at
-this processor's best rate for large matrices. Stable-Baselines3's PPO has the same network, environments (stepped by
-our `Tables`, which are faster than its own), batch and epochs; it has neither bf16 nor channels-last memory, neither
-centres nor shifts pictures, and it learns in fp32, so that ours is given in fp32 as well.
+The network's multiplications at the best rate for large matrices (`products`) are what no arrangement can do without.
+Beside the whole stand its parts: the environments alone, the network's forward pass alone when it acts, and forward and
+backward pass alone in the update's epochs. Stable-Baselines3's PPO has the same network, environments (stepped by our
+`Tables`, which are faster than its own), batch and epochs; it learns in fp32, and neither centres nor shifts pictures.
 
 Contenders take turns, so that a busy machine slows all alike; a ratio is the median over rounds of that within the
-round. With one thread the clock is the processor's own time, which does not count what neighbours take.
+round. With one thread the clock is the processor's own time, which does not count what neighbours take. Two threads can
+only be compared on a machine that has nothing else to do.
+
+To make a processor with AVX-512 behave like one without, give three libraries their limits (torch's matrix products are
+MKL's, which on AMD processors uses AVX2 anyway):
+
+    ATEN_CPU_CAPABILITY=avx2 ONEDNN_MAX_CPU_ISA=AVX2 NUMBA_CPU_NAME=haswell NUMBA_CPU_FEATURES=+avx2,+fma
 
 Run: uv run python benchmarks/bench_ppo.py [--threads 1 2] [--rounds 3]     (five minutes on two idle cores)
 """
@@ -16,7 +21,7 @@ import argparse
 import statistics
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -36,8 +41,9 @@ from stable_baselines3.common.vec_env import VecEnv
 from gym_open.agents.config import PPOConfig
 from gym_open.agents.encoder import IMAGE_SHAPE, autocast
 from gym_open.agents.ppo import ppo_update
+from gym_open.agents.threads import threads as sharing
 from gym_open.envs.constants import N_ACTIONS
-from gym_open.precision import Precision
+from gym_open.precision import Precision, native_precision
 from gym_open.train.config import PolicyTrainConfig
 from gym_open.train.policy import _Trainer
 from gym_open.train.tables import Tables
@@ -93,6 +99,28 @@ class _Ready(BaseCallback):
 
     def _on_step(self) -> bool:
         return True
+
+
+def alone(work: Work, threads: int) -> Work:
+    """The same with our number of threads."""
+
+    def done() -> None:
+        with sharing(threads):
+            work()
+
+    return done
+
+
+def with_torchs(work: Work, threads: int) -> Work:
+    """The same with PyTorch's own number of threads."""
+
+    def done() -> None:
+        before = torch.get_num_threads()
+        torch.set_num_threads(threads)
+        work()
+        torch.set_num_threads(before)
+
+    return done
 
 
 def ours(threads: int, precision: Precision) -> tuple[Work, _Trainer]:
@@ -158,13 +186,13 @@ def updating(trainer: _Trainer) -> None:
         (logits.sum() + values.sum()).backward()
 
 
-def products(precision: Precision) -> None:
-    """As many multiplications as the network needs for a rollout and its update, in large matrices."""
-    total = 1e6 * BATCH * (MFLOP_FORWARD + PPO_CONFIG.update_epochs * (MFLOP_FORWARD + MFLOP_BACKWARD))
-    edge = 2048
+def products(mflop: float, precision: Precision) -> None:
+    """So many million multiplications and additions, in large matrices."""
+    edge = 1024
     a = torch.ones(edge, edge, dtype=torch.bfloat16 if precision == "bf16" else torch.float32)
-    for _ in range(round(total / (2 * edge**3))):
-        torch.mm(a, a)
+    out = torch.empty_like(a)
+    for _ in range(round(1e6 * mflop / (2 * edge**3))):
+        torch.mm(a, a, out=out)
 
 
 def seconds(work: Work, threads: int) -> float:
@@ -175,40 +203,43 @@ def seconds(work: Work, threads: int) -> float:
     return clock() - began
 
 
-def measure(threads: int, rounds: int) -> Table:
-    """A row a contender, and what ours cannot do without."""
-    torch.set_num_threads(threads)
-    precisions: Sequence[Precision] = ("bf16", "fp32")
-    work: dict[str, Work] = {SB3: sb3(threads)}
-    trainer = None
-    for precision in precisions:
-        work[f"gym-open, {precision}"], trainer = ours(threads, precision)
-        work[f"acting alone, {precision}"] = partial(acting, trainer)
-        work[f"update alone, {precision}"] = partial(updating, trainer)
-        work[f"products alone, {precision}"] = partial(products, precision)
-    assert trainer is not None
-    work["environment alone"] = partial(environment, trainer)
+def compare(work: dict[str, Work], threads: int, rounds: int) -> dict[str, list[float]]:
+    """Seconds of each in each round; all are done once before."""
     for one in work.values():  # compiles, and fills caches
         one()
     found: dict[str, list[float]] = {name: [] for name in work}
     for _ in range(rounds):
         for name, one in work.items():
             found[name].append(seconds(one, threads))
+    return found
+
+
+def ratio(times: list[float], base: list[float]) -> str:
+    """How many times `base`, the median over rounds."""
+    return f"{statistics.median(t / b for t, b in zip(times, base, strict=True)):.2f}"
+
+
+def measure(threads: int, rounds: int) -> Table:
+    """A row a contender, and the parts of ours."""
+    precisions: list[Precision] = ["bf16", "fp32"] if native_precision() == "bf16" else ["fp32"]
+    work: dict[str, Work] = {SB3: with_torchs(sb3(threads), threads)}
     for precision in precisions:
-        parts = [found["environment alone"], *(found[f"{part} alone, {precision}"] for part in ("acting", "update"))]
-        found[f"floor: the three alone, {precision}"] = [sum(times) for times in zip(*parts, strict=True)]
-
-    table = Table("", "steps/s", "of its floor", "of SB3's", title=f"PPO from pictures, threads: {threads}")
+        whole, trainer = ours(threads, precision)
+        parts = {
+            "": whole, ": the environments alone": partial(environment, trainer),
+            ": acting alone": partial(acting, trainer), ": forward and backward alone": partial(updating, trainer),
+        }  # fmt: skip
+        work |= {f"gym-open, {precision}{part}": alone(one, threads) for part, one in parts.items()}
+        mflop = BATCH * (MFLOP_FORWARD + PPO_CONFIG.update_epochs * (MFLOP_FORWARD + MFLOP_BACKWARD))
+        work[f"products, {precision}"] = with_torchs(partial(products, mflop, precision), threads)
+    found = compare(work, threads, rounds)
+    table = Table(
+        "", "steps/s", "× the products' time", "× SB3's speed", title=f"PPO from pictures, threads: {threads}"
+    )
     for name, times in found.items():
-        floor = found[f"floor: the three alone, {'bf16' if 'bf16' in name else 'fp32'}"]
-        own = "" if name == "environment alone" else ratio(floor, times)
-        table.add_row(name, f"{BATCH / statistics.median(times):,.0f}", own, ratio(found[SB3], times))
+        base = found[f"products, {'bf16' if 'bf16' in name else 'fp32'}"]
+        table.add_row(name, f"{BATCH / statistics.median(times):,.0f}", ratio(times, base), ratio(found[SB3], times))
     return table
-
-
-def ratio(base: list[float], times: list[float]) -> str:
-    """How many times as fast as `base`, the median over rounds."""
-    return f"{statistics.median(b / t for b, t in zip(base, times, strict=True)):.2f}"
 
 
 def main() -> None:
@@ -217,7 +248,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3)
     options = parser.parse_args()
     for threads in options.threads:
-        Console(width=100).print(measure(threads, options.rounds))
+        Console(width=120).print(measure(threads, options.rounds))
 
 
 if __name__ == "__main__":

@@ -71,9 +71,9 @@ class Curl(WorldModel):
         return {"error": F.cross_entropy(logits, own, reduction="none")}
 
     @torch.no_grad()
-    def latent(self, images: Tensor) -> Tensor:
+    def latent(self, images: Tensor, features: Tensor | None = None) -> Tensor:
         """Projected features (B, latent) of unshifted pictures (B, 84, 84, 3) uint8, without gradient."""
-        return self.projection(self.features(images, no_shifts(len(images)))).float()
+        return self.projection(self.unshifted(images) if features is None else features).float()
 
     @torch.no_grad()
     def stepped(self) -> None:

@@ -47,6 +47,8 @@ class Acted:
     """Nats."""
     values: Tensor
     """0 for an explorer without a policy."""
+    features: Tensor | None = None
+    """What the policy's encoder made of the observations, (N, features), if that may spare the reward a look."""
 
 
 @dataclass(frozen=True)
@@ -137,15 +139,16 @@ class Explorer:
             DivergedError: if the policy's probabilities are not finite.
         """
         if self.policy is None:
-            logits, values = torch.zeros(len(images), self.n_actions), torch.zeros(len(images))
+            logits, values, features = torch.zeros(len(images), self.n_actions), torch.zeros(len(images)), None
         else:
             with autocast(self.config.ppo.precision):
-                logits, values = self.policy(self.policy.encoder.prepare(images))
+                features = self.policy.encoder(self.policy.encoder.prepare(images))
+                logits, values = self.policy.heads(features)
         logprobs = _finite(F.log_softmax(logits, dim=1), "the policy's probabilities are not finite")
         probs = logprobs.exp()
         actions = torch.multinomial(probs, 1, generator=self._act)
         entropy = -(probs * logprobs).sum(dim=1)
-        return Acted(actions.flatten(), logprobs.gather(1, actions).flatten(), entropy, values)
+        return Acted(actions.flatten(), logprobs.gather(1, actions).flatten(), entropy, values, features)
 
     def learn(self, images: Tensor, acted: Sequence[Acted]) -> Learned:
         """Reward the steps of a rollout of N streams, and learn from them.
@@ -168,10 +171,16 @@ class Explorer:
         parts = torch.zeros(*actions.shape, 0)
         if self._reward is not None:
             with autocast(self.config.ppo.precision):
-                parts = self._reward(images, actions)
+                parts = self._reward(images, actions, self._known(acted))
         reward = parts.sum(dim=-1)
         stats = self._update(self._batch(images, actions, acted, reward))
         return Learned(reward, parts, stats)
+
+    def _known(self, acted: Sequence[Acted]) -> Tensor | None:
+        """What the model's encoder made of all pictures, (T + 1, N, features), if it was the policy's as it acted."""
+        known = [one.features for one in acted if one.features is not None]
+        shared = self.policy is not None and self.model is not None and self.policy.encoder is self.model.encoder
+        return torch.stack(known) if shared and len(known) == len(acted) else None
 
     def world_loss(self, transitions: Transitions, generator: torch.Generator) -> float:
         """The world model's loss on B steps of one world, times its `loss_scale`; not a number without a model.

@@ -17,7 +17,6 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from gym_open.agents.augment import no_shifts
 from gym_open.agents.config import IcmConfig
 from gym_open.agents.encoder import Encoder
 from gym_open.agents.layers import init_layer
@@ -67,9 +66,9 @@ class Icm(WorldModel):
         return {name: summands[name].clamp(max=1.0) for name in self.error_parts}
 
     @torch.no_grad()
-    def latent(self, images: Tensor) -> Tensor:
+    def latent(self, images: Tensor, features: Tensor | None = None) -> Tensor:
         """φ of B pictures, (B, features)."""
-        return _normalised(self.features(images, no_shifts(len(images))))
+        return _normalised(self.unshifted(images) if features is None else features)
 
     def _compare(self, phi: Tensor, next_phi: Tensor, actions: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Forward error ½ mean_d (φ̂′ − φ′)², inverse error −log p(a), and 1 where p names a, else 0: (B,) fp32 each."""

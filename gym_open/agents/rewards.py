@@ -23,12 +23,13 @@ class Reward(ABC):
     parts: tuple[str, ...]
 
     @abstractmethod
-    def __call__(self, images: Tensor, actions: Tensor) -> Tensor:
+    def __call__(self, images: Tensor, actions: Tensor, features: Tensor | None = None) -> Tensor:
         """Summands (T, N, P) fp32 of the reward of T steps in N worlds.
 
         Args:
             images: observations around the steps, (T + 1, N, 84, 84, 3) uint8.
             actions: (T, N) int64.
+            features: what the world model's encoder makes of the images, (T + 1, N, features), if that is known.
         """
 
     def entered(self, stream: int) -> None:  # noqa: B027  (most rewards do not mind)
@@ -49,7 +50,7 @@ class OwnError(Reward):
         self._model = model
         self.parts = model.error_parts
 
-    def __call__(self, images: Tensor, actions: Tensor) -> Tensor:
+    def __call__(self, images: Tensor, actions: Tensor, features: Tensor | None = None) -> Tensor:  # noqa: ARG002
         """The model's errors, summand by summand."""
         errors = self._model.errors(Transitions(images[:-1].flatten(0, 1), actions.flatten(), images[1:].flatten(0, 1)))
         return torch.stack([errors[name].view(actions.shape) for name in self.parts], dim=-1)
@@ -73,9 +74,15 @@ class Ride(Reward):
     def __init__(self, model: WorldModel) -> None:
         self._model = model
 
-    def __call__(self, images: Tensor, actions: Tensor) -> Tensor:  # noqa: ARG002  (what it did shows)
+    def __call__(
+        self,
+        images: Tensor,
+        actions: Tensor,  # noqa: ARG002  (what it did shows)
+        features: Tensor | None = None,
+    ) -> Tensor:
         """`‖latent(s′) − latent(s)‖₂` of each step."""
-        latent = self._model.latent(images.flatten(0, 1)).view(*images.shape[:2], -1)
+        known = None if features is None else features.flatten(0, 1)
+        latent = self._model.latent(images.flatten(0, 1), known).view(*images.shape[:2], -1)
         return (latent[1:] - latent[:-1]).norm(dim=-1)[..., None]
 
 
@@ -91,7 +98,7 @@ class CountedRide(Ride):
         super().__init__(model)
         self._seen: list[Counter[int]] = [Counter() for _ in range(n_streams)]
 
-    def __call__(self, images: Tensor, actions: Tensor) -> Tensor:
+    def __call__(self, images: Tensor, actions: Tensor, features: Tensor | None = None) -> Tensor:
         """`‖latent(s′) − latent(s)‖₂ / √N(s′)` of each step, s′ itself counted."""
         found = np.array(cells(images[1:].flatten(0, 1))).reshape(actions.shape)
         counts = torch.ones(actions.shape)
@@ -99,7 +106,7 @@ class CountedRide(Ride):
             for stream, (seen, here) in enumerate(zip(self._seen, row, strict=True)):
                 seen[here] += 1
                 counts[t, stream] = seen[here]
-        return super().__call__(images, actions) / counts.sqrt()[..., None]
+        return super().__call__(images, actions, features) / counts.sqrt()[..., None]
 
     def entered(self, stream: int) -> None:
         """Forget what the stream has seen."""

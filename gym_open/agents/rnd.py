@@ -102,9 +102,9 @@ class Rnd(WorldModel):
         return {"error": self._error(transitions.next_obs, shifts, self.features(transitions.next_obs, shifts))}
 
     @torch.no_grad()
-    def latent(self, images: Tensor) -> Tensor:
+    def latent(self, images: Tensor, features: Tensor | None = None) -> Tensor:
         """What the predictor gives for B pictures, (B, outputs)."""
-        return self.predictor(self.features(images, no_shifts(len(images)))).float()
+        return self.predictor(self.unshifted(images) if features is None else features).float()
 
     def _error(self, images: Tensor, shifts: Tensor, features: Tensor) -> Tensor:
         """Square error averaged over the outputs, (B,) fp32, given the encoder's features of the shifted pictures."""

@@ -65,8 +65,13 @@ class WorldModel(nn.Module, ABC):
         """The model's own error in B steps as intrinsic reward: its summands by name, (B,) each, without gradient."""
 
     @abstractmethod
-    def latent(self, images: Tensor) -> Tensor:
-        """Where pictures (B, 84, 84, 3) uint8 are in the model's latent space: (B, D) fp32, without gradient."""
+    def latent(self, images: Tensor, features: Tensor | None = None) -> Tensor:
+        """Where pictures (B, 84, 84, 3) uint8 are in the model's latent space: (B, D) fp32, without gradient.
+
+        Args:
+            images: the pictures, unshifted.
+            features: what the encoder makes of them, (B, features), if that is known already.
+        """
 
     @torch.no_grad()
     def world_loss(self, transitions: Transitions, generator: torch.Generator) -> float:
@@ -78,6 +83,10 @@ class WorldModel(nn.Module, ABC):
 
     def stepped(self) -> None:
         """Called after each gradient step."""
+
+    def unshifted(self, images: Tensor) -> Tensor:
+        """The encoder's features (B, features) of pictures (B, 84, 84, 3) uint8 as they are."""
+        return self.features(images, no_shifts(len(images)))
 
     def features(self, images: Tensor, shifts: Tensor) -> Tensor:
         """The encoder's features (B, features) of pictures (B, 84, 84, 3) uint8 moved by `shifts`, (B, 2) int64."""

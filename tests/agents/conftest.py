@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from gym_open import seeding
+from gym_open.agents.threads import threads
 from gym_open.agents.world_model import Transitions
 from gym_open.envs.constants import N_ACTIONS
 from gym_open.envs.puzzles.generators import sample_puzzle
@@ -15,10 +16,8 @@ from gym_open.envs.world import World
 
 @pytest.fixture(autouse=True)
 def one_thread() -> Iterator[None]:
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
+    with threads(1):
+        yield
 
 
 @pytest.fixture

@@ -34,8 +34,8 @@ class Known(WorldModel):
         change = transitions.next_obs[:, 0, 0, 0].float() - transitions.obs[:, 0, 0, 0].float()
         return {"change": change, "action": transitions.actions.float()}
 
-    def latent(self, images: Tensor) -> Tensor:
-        return images[:, 0, 0].float()
+    def latent(self, images: Tensor, features: Tensor | None = None) -> Tensor:
+        return images[:, 0, 0].float() if features is None else features
 
 
 @pytest.fixture
@@ -52,6 +52,13 @@ def test_ride_is_the_distance_that_a_step_went_in_each_world(images: Tensor) -> 
     assert ride.parts == ("impact",)
     assert found.shape == (3, 2, 1)
     np.testing.assert_allclose(found[..., 0].numpy(), expected, rtol=1e-6)
+
+
+def test_known_features_are_not_made_again(images: Tensor) -> None:
+    actions, features = torch.zeros(3, 2, dtype=torch.int64), torch.randn(4, 2, 5)
+    expected = (features[1:] - features[:-1]).norm(dim=-1)[..., None]
+    torch.testing.assert_close(Ride(Known())(images, actions, features), expected)
+    torch.testing.assert_close(CountedRide(Known(), 2)(images, actions, features), expected)  # nothing is seen twice
 
 
 def test_no_change_is_no_impact(images: Tensor) -> None:

@@ -1,7 +1,6 @@
 """Shared out among threads, a network makes the same of its pictures, and learns the same from them."""
 
 import os
-from collections.abc import Iterator
 
 import pytest
 import torch
@@ -12,12 +11,6 @@ from gym_open.agents.config import Architecture, EncoderConfig
 from gym_open.agents.encoder import Encoder, autocast
 from gym_open.agents.threads import in_parts, set_threads, side_by_side, through
 from gym_open.precision import Precision
-
-
-@pytest.fixture(autouse=True)
-def _restored() -> Iterator[None]:
-    with threads.threads(1):
-        yield
 
 
 def encoder(architecture: Architecture = "cnn") -> Encoder:
