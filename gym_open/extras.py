@@ -10,10 +10,8 @@ from types import TracebackType
 from gym_open.errors import MissingExtraError
 
 MODULES = {
-    "releases": (
-        "PIL", "av", "huggingface_hub", "jinja2", "matplotlib", "mcap", "pandas", "pyarrow", "scipy", "tomli_w",
-        "zstandard",
-    ),
+    "releases": ("PIL", "huggingface_hub", "mcap", "pandas", "pyarrow", "tomli_w", "zstandard"),
+    "build": ("av", "jinja2", "matplotlib", "scipy"),
     "train": ("safetensors", "tensorboard", "torch"),
     "viz": ("rerun", "rerun_cli"),
     "play": ("pygame",),
@@ -22,11 +20,18 @@ MODULES = {
     "sign": ("model_signing", "OpenSSL"),
     "minari": ("minari",),
     "lerobot": ("lerobot",),
-}  # fmt: skip
+}
 """Modules that come with each extra."""
-PARTS_OF = {"train": ("releases",), "viz": ("releases",), "play": ("releases",), "sign": ("releases",),
-            "minari": ("releases",), "lerobot": ("releases",)}  # fmt: skip
-"""Extras that an extra brings along."""
+RESTS_ON = {
+    "build": "releases",
+    "train": "build",
+    "viz": "build",
+    "play": "releases",
+    "sign": "releases",
+    "minari": "releases",
+    "lerobot": "releases",
+}
+"""The extra that an extra brings along."""
 
 
 def check(*extras: str) -> None:
@@ -35,10 +40,15 @@ def check(*extras: str) -> None:
     Raises:
         MissingExtraError: naming the packages that are not installed, and the command that installs them.
     """
-    every = {part for extra in extras for part in (extra, *PARTS_OF.get(extra, ()))}
-    missing = sorted(name for extra in every for name in MODULES[extra] if find_spec(name) is None)
+    missing = sorted(name for extra in _closed(extras) for name in MODULES[extra] if find_spec(name) is None)
     if missing:
         raise _missing(missing, extras)
+
+
+def _closed(extras: tuple[str, ...]) -> set[str]:
+    """These extras, and all that they bring along."""
+    below = tuple(RESTS_ON[extra] for extra in extras if extra in RESTS_ON)
+    return {*extras, *_closed(below)} if below else set(extras)
 
 
 class Named:

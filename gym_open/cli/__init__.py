@@ -62,18 +62,21 @@ _NEEDS: dict[str, tuple[str, ...]] = {
     "collect": ("train",),
     "log": ("releases",),
     "dataset": ("releases",),
+    "dataset build": ("build",),
+    "dataset merge": ("build",),
+    "dataset filter": ("build",),
     "train": ("train",),
     "encoder": ("train",),
     "evaluate": ("releases",),
     "score": ("releases",),
     "benchmark": ("train",),
-    "report": ("releases",),
-    "viz": ("releases",),
-    "render": ("releases",),
+    "report": ("build",),
+    "viz": ("build",),
+    "render": ("build",),
     "play": ("play",),
     "serve": ("remote",),
 }
-"""Extras without which nothing can be started, by the first word of a command. Some options need more."""
+"""Extras without which nothing can be started, by a command or its first word. Some options need more."""
 _GOES_ON = "; the same command goes on from the last checkpoint"
 _FLAGS = (tyro.conf.FlagCreatePairsOff,)
 """No `--no-…` beside each option that is on or off."""
@@ -98,7 +101,7 @@ def _run(name: str, words: list[str]) -> int:
     try:
         check_backend()
         command = _parse(name, words)
-        extras.check(*_NEEDS.get(name.split(maxsplit=1)[0], ()))
+        extras.check(*(_NEEDS.get(name) or _NEEDS.get(name.split(maxsplit=1)[0], ())))
         with extras.Named(), speaking(command, name):
             command.run()
     except GymOpenError as error:
