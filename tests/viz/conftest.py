@@ -13,12 +13,12 @@ from gym_open.config import Config
 
 
 class Recording:
-    """A recording read back, a column at a time."""
+    """A recording read back, a column at a time: the only one of a file, or that with the id."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, recording_id: str | None = None) -> None:
         reader = RrdReader(path)
-        (self.store,) = reader.recordings()
-        self._chunks = reader.stream().collect()
+        (self.store,) = [one for one in reader.recordings() if recording_id in {None, one.recording_id}]
+        self._chunks = reader.stream(store=self.store).collect()
 
     def entities(self) -> set[str]:
         return {str(column.entity_path) for column in self._chunks.schema().component_columns()}
@@ -44,8 +44,8 @@ class Recording:
 
 
 @pytest.fixture(scope="session")
-def read_back() -> Callable[[Path], Recording]:
-    """`read_back(path)` gives what a recording holds."""
+def read_back() -> Callable[..., Recording]:
+    """`read_back(path)` gives what a recording holds; `read_back(path, id)` one of several in a file."""
     return Recording
 
 

@@ -5,7 +5,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ from tests.children import python, run
 PROGRAM = [sys.executable, "-m", "rerun_cli"]
 
 
-ReadBack = Callable[[Path], Any]
+ReadBack = Callable[..., Any]
 
 
 def column(recording: Any, index: str, entity: str, component: str) -> list[Any]:
@@ -55,6 +55,29 @@ def test_reruns_own_loader_shows_pictures_figures_and_words(log: Path, tmp_path:
     ]  # fmt: skip
     steps = column(theirs, "message_log_time", "/step", "gym_open_msgs.msg.Step:message")
     assert [step["action"] for step in steps] == np.concatenate([item.actions for item in segments]).tolist()
+
+
+@pytest.mark.usefixtures("no_figures")
+@pytest.mark.parametrize("pictures", ["png", "video"])
+def test_rerun_opens_a_release(
+    log: Path, pictures: Literal["png", "video"], tmp_path: Path, read_back: ReadBack
+) -> None:
+    config = ReleaseConfig(max_episode_steps=256, pictures=pictures)
+    ours = open_release(build_release(config, [log], tmp_path / "release").path)
+    done = run([*PROGRAM, ours.root, "--save", tmp_path / "theirs.rrd", "--port", "0"], stdin=subprocess.DEVNULL)
+    assert done.returncode == 0, done.stderr
+    for episode, row in ours.episodes.iterrows():
+        theirs = read_back(tmp_path / "theirs.rrd", f"episode_{episode}")
+        first, stop = int(row["dataset_from_index"]), int(row["dataset_to_index"])
+        frames, states = theirs.column("/observation.state", "Scalars:scalars", "frame_index")
+        assert frames == list(range(stop - first))
+        assert np.array_equal(np.array(states, np.float32), ours.numbers(first, stop)["observation.state"])
+        if pictures == "png":
+            files = theirs.column("/observation.image", "EncodedImage:blob", "frame_index")[1]
+            assert [bytes(file[0]) for file in files] == ours.pngs(range(first, stop))
+        else:
+            samples = theirs.column("/observation.image", "VideoStream:sample", "frame_index")[0]
+            assert samples == frames
 
 
 LEROBOT = """

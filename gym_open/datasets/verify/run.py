@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-from gym_open import artefacts
+from gym_open import artefacts, extras
 from gym_open.datasets.verify.apart import replay_apart
 from gym_open.datasets.verify.contents import check_contents
 from gym_open.datasets.verify.papers import check_papers
@@ -85,8 +85,9 @@ class _Verification:
             return False
         before = self._findings.count
         try:
-            outcome = work()
-        except UsageError:  # of a key, which is the caller's
+            with extras.Named():
+                outcome = work()
+        except UsageError:  # of a key, of what is not installed: the caller's
             raise
         except GymOpenError as error:
             self._findings.add(self._place(str(error)), str(error))

@@ -37,6 +37,6 @@ class _Rows:
 
 
 def tensors(rows: Sequence[rr.Tensor | rr.BarChart]) -> list[rr.ComponentColumn]:
-    """The column of one or more tensors or bar charts, which have none of their own in Rerun 0.26."""
+    """The column of one or more tensors or bar charts: their own `columns` takes no more than one (Rerun 0.41)."""
     batches = [row.as_component_batches()[0] for row in rows]
     return [rr.ComponentColumn(batches[0].component_descriptor(), _Rows(batches))]

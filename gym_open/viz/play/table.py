@@ -8,7 +8,7 @@ from gym_open.envs.puzzles import SIDES, Puzzle
 
 _FLAT = 0.002
 _RIM = 0.25
-"""Metres of ground that are shown around the table. Rerun 0.26 puts its camera by the size of what there is to see, and
+"""Metres of ground that are shown around the table. Rerun puts its camera by the size of what there is to see, and
 would cut the table's corners off without it."""
 
 
