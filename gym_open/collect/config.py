@@ -55,9 +55,8 @@ class CollectConfig(Config, frozen=True, kw_only=True):
     small among few pictures, which are easily told apart; its scale is for 64."""
     checkpoint_every: PositiveInt = 20
     """Rollouts between two checkpoints."""
-    threads: PositiveInt = 1
-    """Threads of the learner. Another number rounds sums in another order, so it plays otherwise. Two are faster on an
-    idle machine and several times slower than one on a busy one."""
+    threads: PositiveInt = 2
+    """Threads of the learner; part of the configuration because their number may change the last bits."""
     seed: Seed = 0
     """Root of all randomness."""
     sandbox: SandboxConfig = SandboxConfig()

@@ -44,7 +44,7 @@ class EncoderTrainConfig(Config, frozen=True, kw_only=True):
     device: Device = "cpu"
     """Where the network is: `cuda` for a GPU, where the last bits of two runs may differ."""
     threads: PositiveInt = 2
-    """Torch threads; part of the configuration because the number of threads may change the last bits."""
+    """Threads; part of the configuration because the number of threads may change the last bits."""
     seed: Seed = 0
     """Root seed."""
 
@@ -85,7 +85,7 @@ class PolicyTrainConfig(Config, frozen=True, kw_only=True):
     device: Device = "cpu"
     """Where the network is: `cuda` for a GPU."""
     threads: PositiveInt = 2
-    """Torch threads; part of the configuration because the number of threads may change the last bits."""
+    """Threads; part of the configuration because the number of threads may change the last bits."""
     seed: Seed = 0
     """Root seed."""
 
@@ -108,6 +108,6 @@ class ProbeConfig(Config, frozen=True, kw_only=True):
     pixels: bool = True
     """Probe the pixels themselves as well."""
     threads: PositiveInt = 2
-    """Torch threads; part of the configuration because the number of threads may change the last bits."""
+    """Threads; part of the configuration because the number of threads may change the last bits."""
     seed: Seed = 0
     """Root seed."""
