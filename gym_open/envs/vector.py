@@ -176,6 +176,8 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
 
     def close_extras(self, **_: Any) -> None:
         """End the threads and close the worlds."""
+        if not hasattr(self, "_pool"):
+            return  # what was never made, since its arguments were refused, Gymnasium 1.2 closes, too
         self._pool.shutdown()
         for env in self.envs:
             env.close()

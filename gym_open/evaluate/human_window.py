@@ -64,8 +64,9 @@ class Window(PlayableGame):
 
     def process_event(self, event: Any) -> None:
         """One press, one move; the rest (closing, Esc, resizing) is Gymnasium's."""
-        if event.type == pygame.KEYDOWN and event.key in _ACTION:
-            self._moves.append(_ACTION[event.key])
+        if event.type in {pygame.KEYDOWN, pygame.KEYUP} and event.key in _ACTION:
+            if event.type == pygame.KEYDOWN:
+                self._moves.append(_ACTION[event.key])
         else:
             super().process_event(event)
 

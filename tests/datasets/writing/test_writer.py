@@ -223,5 +223,6 @@ def test_frames_of_another_episode_or_without_a_value_are_refused(
     wrong = 0 if column == "episode_index" else {"bytes": None, "path": ""} if column.endswith("image") else None
     edit(max(root.glob("data/*/*.parquet")), column, lambda values: [*values[:-1], wrong])
     last = len(release.episodes) - 1
-    with pytest.raises(ArtefactError, match=f"all of episode {last} and whole"):
+    # Before 26, pyarrow itself refuses a list of fixed size that is missing.
+    with pytest.raises(ArtefactError, match=rf"all of episode {last} and whole|cannot be unpacked: .* of size=9"):
         list(episodes_of_release(Release(root, "", read_info(root)), [last]))
