@@ -36,6 +36,8 @@ _PATIENCE = 30.0
 """Seconds until Rerun's program listens."""
 _GRACE = 5.0
 """Seconds in which it may end."""
+_LOOK = 0.1
+"""Seconds between two looks at whether it has ended."""
 _PROGRAM = Path(rerun_cli.__file__).with_name("rerun")
 _OTHER_WAYS = "--save FILE.rrd, --web, --video FILE.mp4 or --png FILE.png need no display"
 
@@ -76,8 +78,8 @@ def native(view: View) -> None:
     """
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise UsageError(f"there is no display to open a window on (DISPLAY is not set); {_OTHER_WAYS}")
-    with interruptible(), _Program("--expect-data-soon") as program:
-        program.show(view)
+    with interruptible() as interrupted, _Program("--expect-data-soon") as program:
+        program.show(view, interrupted)
 
 
 def web(view: View) -> None:
@@ -89,7 +91,7 @@ def web(view: View) -> None:
     """
     inner = free_port(0)
     with (
-        interruptible(),
+        interruptible() as interrupted,
         _Program("--serve-web", "--web-viewer-port", str(inner)) as program,
         Page(free_port(WEB_PORT), inner, program.port) as page,
     ):
@@ -97,7 +99,7 @@ def web(view: View) -> None:
         forward = " ".join(f"-L {port}:{LOOPBACK}:{port}" for port in (page.port, program.port))
         print(f"gym-open viz: {printable(view.title)} is at http://{here}")
         print(f"  from another host: first ssh {forward} THIS-HOST, there\n  stop: Ctrl-C", flush=True)
-        program.show(view, then="  all of it is there")
+        program.show(view, interrupted, then="  all of it is there")
 
 
 def _recorded(view: View) -> bytes:
@@ -174,15 +176,16 @@ class _Program:
     ) -> None:
         self._end()
 
-    def show(self, view: View, then: str | None = None) -> None:
-        """Send the view to the program, print `then`, and stay until the program ends or Ctrl-C is pressed."""
+    def show(self, view: View, interrupted: Callable[[], bool], then: str | None = None) -> None:
+        """Send the view to the program, print `then`, and wait until the program ends or `interrupted` is true."""
         url = f"rerun+http://{LOOPBACK}:{self.port}/proxy"
         try:
             with self._watched():
                 _stream(view, lambda rec: rec.connect_grpc(url))
             if then:
                 print(then, flush=True)
-            self._process.wait()
+            while self._process.poll() is None and not interrupted():
+                time.sleep(_LOOK)
         except KeyboardInterrupt:
             pass  # the usual end, also of a window that is closed while it fills
         except _LostError as error:

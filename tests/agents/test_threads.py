@@ -32,7 +32,7 @@ def learned(network: Encoder, n: int, count: int, precision: Precision) -> tuple
 
 
 @pytest.mark.parametrize(
-    ("architecture", "precision", "tolerance"), [("cnn", "fp32", 1e-5), ("impala", "fp32", 1e-4), ("cnn", "bf16", 0.05)]
+    ("architecture", "precision", "tolerance"), [("cnn", "fp32", 1e-4), ("impala", "fp32", 1e-4), ("cnn", "bf16", 0.05)]
 )
 @pytest.mark.parametrize("count", [2, 3])
 def test_features_and_gradients_are_those_of_one_thread(
@@ -59,10 +59,10 @@ def test_what_does_not_learn_has_no_gradient_and_the_rest_has() -> None:
     network.layers[0].requires_grad_(requires_grad=False)
     expected, slopes = learned(network, 16, 1, "fp32")
     features, found = learned(network, 16, 2, "fp32")
-    torch.testing.assert_close(features, expected)
+    torch.testing.assert_close(features, expected, rtol=1e-4, atol=1e-4)  # features reach 1
     assert len(found) == len(slopes) == 6
     for one, other in zip(found, slopes, strict=True):
-        torch.testing.assert_close(one, other, rtol=1e-5, atol=1e-5 * float(other.abs().max()))
+        torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-4 * float(other.abs().max()))
 
 
 def test_without_gradients_nothing_leads_back() -> None:

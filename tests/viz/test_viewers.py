@@ -11,6 +11,7 @@ import sys
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -25,7 +26,7 @@ from gym_open.errors import ArtefactError, GymOpenError, UsageError
 from gym_open.viz import viewers
 from gym_open.viz.film import write_whole
 from gym_open.viz.view import View
-from tests.children import HANG_S, is_alive, started, until
+from tests.children import HANG_S, is_alive, run, started, until
 
 ROOT = Path(__file__).parents[2]
 STEPS, VALUES = np.arange(1000), np.sin(np.arange(1000) / 50)
@@ -34,7 +35,7 @@ SERVE = """
 import runpy, signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests themselves run in the background
 sys.path.insert(0, sys.argv[1])
-runpy.run_path(sys.argv[2])['serve']()
+runpy.run_path(sys.argv[2])[sys.argv[3]]()
 """
 
 
@@ -52,6 +53,19 @@ def serve() -> None:
     """In a process of its own."""
     viewers._PATIENCE = HANG_S
     viewers.web(wave())
+
+
+def serve_and_swallow() -> None:
+    """A library swallows the KeyboardInterrupt of Ctrl-C. In a process of its own."""
+
+    def fill(rec: rr.RecordingStream) -> None:
+        wave().fill(rec)
+        with suppress(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+            signal.pause()
+
+    viewers._PATIENCE = HANG_S
+    viewers.web(wave()._replace(fill=fill))
 
 
 def broken(error: Exception) -> View:
@@ -141,7 +155,7 @@ def test_without_a_display_no_window_is_opened(monkeypatch: pytest.MonkeyPatch) 
 @pytest.fixture
 def served() -> Iterator[tuple[subprocess.Popen[str], str]]:
     """A process that serves the wave, and the address that it prints."""
-    words = [sys.executable, "-c", SERVE, str(ROOT), __file__]
+    words = [sys.executable, "-c", SERVE, str(ROOT), __file__, "serve"]
     with started(words, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         (address,) = re.findall(r"a wave is at (http://127\.0\.0\.1:[0-9]+)\n", process.stdout.readline())
@@ -184,6 +198,12 @@ def test_the_page_is_on_loopback_alone_and_no_child_is_left(
     process.send_signal(sign)
     assert process.wait() == (-sign if sign == signal.SIGKILL else 0)
     until(lambda: not is_alive(program))
+
+
+def test_ctrl_c_ends_the_page_although_a_library_swallows_it() -> None:
+    done = run([sys.executable, "-c", SERVE, str(ROOT), __file__, "serve_and_swallow"])
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.endswith("  all of it is there\n")
 
 
 @pytest.fixture
