@@ -219,7 +219,7 @@ def _episodes(
     terminated, running = np.zeros(n, dtype=bool), np.arange(n)
     fleet = Fleet([env.world for env in envs])
     with ExitStack() as stack:
-        bar = stack.enter_context(progress.bar(f"evaluate {task}", n))
+        bar = stack.enter_context(progress.bar(f"evaluate {task}", n * N))
         pool = stack.enter_context(ThreadPoolExecutor(threads))
         for t in range(N):
             seen = np.stack([state_vector(envs[i].world) for i in running]) if states else images[running]
@@ -229,9 +229,9 @@ def _episodes(
             for part in parts:
                 part.result()
             for i in running:
-                rewards[i, t], terminated[i], truncated = envs[i].score(envs[i].world.stepper.outcome())
+                rewards[i, t], terminated[i], _ = envs[i].score(envs[i].world.stepper.outcome())
                 actions[i, t], steps[i] = chosen[i], t + 1
-                bar.advance(int(terminated[i] or truncated))
+                bar.advance(N - t if terminated[i] else 1)
             running = running[~terminated[running]]
             if not running.size:
                 break

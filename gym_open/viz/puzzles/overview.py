@@ -1,6 +1,6 @@
 """How all puzzles of a task went: who earned how much within i actions, who solved which, which are hard.
 
-Timeline `actions`: at i, the dots show what was earned within i actions, and the cursor in the curve stands there.
+Timeline `actions`: at i, the dots show what was earned within i actions.
 
     <task>/within/<n>       mean return of agent n within i actions
     <task>/puzzles/<n>      a dot a puzzle, the tens of its number downwards, its units to the right
@@ -38,7 +38,7 @@ _LEGEND = (
     "± is half of the 95% interval over puzzles. A puzzle is solved when all of its return was earned. In the picture "
     "of who solved what, a dot is dark for nothing earned, yellow for all{danger}; the tens of a puzzle's number go "
     "down, its units to the right; hover over a dot to read it. Move the time cursor to i: the dots show what was "
-    "earned within i actions, and the cursor in the curve stands there; all else is of the whole budget."
+    "earned within i actions; all else is of the whole budget."
 )
 _WIDTH, _HEIGHT = _ROW + 1.5, _ROW + 4.5
 """From one agent's puzzles to the next one's."""
