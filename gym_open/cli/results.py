@@ -35,11 +35,11 @@ class Benchmark(Command):
 
     def run(self) -> None:
         """Run all."""
-        from gym_open.benchmark import run_benchmark
-        from gym_open.benchmark.config import BenchmarkConfig
+        from gym_open.grid import run_grid
+        from gym_open.grid.config import GridConfig
 
-        grid = load(self.grid, BenchmarkConfig)
-        made = run_benchmark(grid, self.out, root=self.workspace, jobs=self.jobs, console=out)
+        grid = load(self.grid, GridConfig)
+        made = run_grid(grid, self.out, root=self.workspace, jobs=self.jobs, console=out)
         say(short(made / "report.html"), verb="made")
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from gym_open.benchmark import BenchmarkConfig
-from gym_open.benchmark.plan import make_plan
 from gym_open.config import load
+from gym_open.grid import GridConfig
+from gym_open.grid.plan import make_plan
 from gym_open.viz.curves.jobs import document, folder_of, jobs_of
 from gym_open.workspace import template
 
@@ -19,7 +19,7 @@ SHIPPED = sorted(template().glob("evaluate/benchmark-*.toml"))
 
 @pytest.mark.parametrize("file", SHIPPED, ids=lambda file: file.stem)
 def test_every_job_of_a_plan_is_found_where_it_lies(file: Path) -> None:
-    plan = make_plan(load(file, BenchmarkConfig), Path("/out"), root=template())
+    plan = make_plan(load(file, GridConfig), Path("/out"), root=template())
     assert {job.name: folder_of(Path("/out"), job.name) for job in plan} == {job.name: job.out for job in plan}
 
 

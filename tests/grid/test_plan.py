@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gym_open.benchmark import BenchmarkConfig
-from gym_open.benchmark.plan import Job, before_the_end, chains, make_plan
 from gym_open.collect.config import CollectConfig
 from gym_open.config import decode, load
 from gym_open.errors import ConfigError
 from gym_open.evaluate.config import EvaluateConfig
+from gym_open.grid import GridConfig
+from gym_open.grid.plan import GridJob, before_the_end, chains, make_plan
 from gym_open.train.config import EncoderTrainConfig, PolicyTrainConfig
 from gym_open.workspace import template
 
@@ -28,13 +28,13 @@ OFFLINE = {
 }  # fmt: skip
 
 
-def plan(out: Path = Path("out"), root: Path = ROOT, **changes: Any) -> dict[str, Job]:
+def plan(out: Path = Path("out"), root: Path = ROOT, **changes: Any) -> dict[str, GridJob]:
     raw = {"tasks": ["goal-seeking"], "seeds": [0], "agents": [SCRATCH, ONLINE, OFFLINE], **changes}
-    return {job.name: job for job in make_plan(decode(raw, BenchmarkConfig, source="test"), out, root=root)}
+    return {job.name: job for job in make_plan(decode(raw, GridConfig, source="test"), out, root=root)}
 
 
 def test_the_grid_of_the_paper() -> None:
-    config = load(ROOT / "evaluate/benchmark-paper.toml", BenchmarkConfig)
+    config = load(ROOT / "evaluate/benchmark-paper.toml", GridConfig)
     jobs = make_plan(config, Path("out"), root=ROOT)
     policies = [job.config for job in jobs if isinstance(job.config, PolicyTrainConfig)]
     grid = {(policy.agent, policy.task, policy.seed) for policy in policies}
@@ -58,7 +58,7 @@ def test_the_grid_of_the_paper() -> None:
 
 @pytest.mark.parametrize("file", SHIPPED, ids=lambda file: file.stem)
 def test_every_job_can_be_given_as_a_file(file: Path) -> None:
-    jobs = make_plan(load(file, BenchmarkConfig), Path("out"), root=ROOT)
+    jobs = make_plan(load(file, GridConfig), Path("out"), root=ROOT)
     seen = set[str]()
     for job in jobs:
         assert decode(tomllib.loads(job.toml()), type(job.config), source=job.name) == job.config
@@ -194,13 +194,13 @@ def test_no_weights_are_scored_twice(steps: int, checkpoints: list[int], num_env
 
 @given(st.data())
 def test_the_longest_chain_is_that_of_all_paths(data: st.DataObject) -> None:
-    jobs: list[Job] = []
+    jobs: list[GridJob] = []
     for i in range(data.draw(st.integers(1, 7))):
         needs = tuple(data.draw(st.lists(st.sampled_from(jobs), unique_by=lambda job: job.name))) if jobs else ()
-        jobs.append(Job(str(i), "collect", Path(str(i)), CollectConfig(), 1, (), needs))
+        jobs.append(GridJob(str(i), "collect", Path(str(i)), CollectConfig(), 1, (), needs))
     left = {job.name: float(data.draw(st.integers(0, 50))) for job in jobs}
 
-    def longest(job: Job) -> float:
+    def longest(job: GridJob) -> float:
         return left[job.name] + max((longest(other) for other in jobs if job in other.needs), default=0.0)
 
     assert chains(jobs, left) == {job.name: longest(job) for job in jobs}

@@ -13,7 +13,6 @@ from typing import Any, Literal, TypeVar
 import msgspec
 
 from gym_open import artefacts
-from gym_open.benchmark.config import AgentConfig, BenchmarkConfig, TaskName
 from gym_open.collect.config import CollectConfig
 from gym_open.config import Config, check, load, to_dict
 from gym_open.datasets.config import ReleaseConfig
@@ -21,17 +20,18 @@ from gym_open.envs.puzzles.sets import published_digests
 from gym_open.envs.puzzles.witnesses import witness_name
 from gym_open.errors import ConfigError
 from gym_open.evaluate.config import CheckpointConfig, EvaluateConfig, OracleConfig
+from gym_open.grid.config import AgentConfig, GridConfig, TaskName
 from gym_open.train.config import EncoderTrainConfig, PolicyTrainConfig, ProbeConfig
 
 C = TypeVar("C", bound=Config)
-Stage = Literal["collect", "dataset build", "train encoder", "train probe", "train policy", "evaluate"]
+StageName = Literal["collect", "dataset build", "train encoder", "train probe", "train policy", "evaluate"]
 
-SPEEDS: dict[Stage, float] = {
+SPEEDS: dict[StageName, float] = {
     "collect": 250, "dataset build": 500, "train encoder": 12, "train probe": 0.025, "train policy": 500,
     "evaluate": 15,
 }  # fmt: skip
 """Units of a job (steps, steps, updates, probes, steps, puzzles) that one core does in a second, roughly."""
-KINDS: dict[Stage, str] = {
+KINDS: dict[StageName, str] = {
     "collect": "log", "dataset build": "release", "train encoder": "encoder", "train probe": "probe",
     "train policy": "policy", "evaluate": "scores",
 }  # fmt: skip
@@ -42,12 +42,12 @@ _PUZZLES = 100
 
 
 @dataclass(frozen=True)
-class Job:
+class GridJob:
     """One command that makes one artefact."""
 
     name: str
     """Of the job, and of its files."""
-    stage: Stage
+    stage: StageName
     """Sub-command of `gym-open`."""
     out: Path
     """Folder of the artefact."""
@@ -57,7 +57,7 @@ class Job:
     """How much there is to do, in units of its stage."""
     options: tuple[str, ...] = ()
     """What the command is given besides its configuration and `out`."""
-    needs: tuple["Job", ...] = ()
+    needs: tuple["GridJob", ...] = ()
     """Jobs whose artefacts it reads."""
     key: Config | None = None
     """Configuration that the artefact records, if that is not `config`."""
@@ -87,7 +87,7 @@ def _without_none(value: Any) -> Any:
     return value
 
 
-def make_plan(config: BenchmarkConfig, out: Path, *, root: Path) -> list[Job]:
+def make_plan(config: GridConfig, out: Path, *, root: Path) -> list[GridJob]:
     """All jobs of a benchmark, each after those it needs.
 
     Args:
@@ -111,9 +111,9 @@ def make_plan(config: BenchmarkConfig, out: Path, *, root: Path) -> list[Job]:
 class _Planner:
     """Collects the jobs, each once."""
 
-    def __init__(self, config: BenchmarkConfig, out: Path, root: Path) -> None:
+    def __init__(self, config: GridConfig, out: Path, root: Path) -> None:
         self.config, self.out, self.root = config, out.absolute(), root  # as an option, a path must not begin with -
-        self.jobs: dict[str, Job] = {}
+        self.jobs: dict[str, GridJob] = {}
         self.evaluation = self.read("evaluate", config.evaluate, EvaluateConfig, threads=1)
 
     def read(self, field: str, file: str, kind: type[C], **changes: Any) -> C:
@@ -124,7 +124,7 @@ class _Planner:
         changed = {name: value for name, value in changes.items() if value is not None}
         return check(msgspec.structs.replace(load(path, kind), **changed), source=f"{path} as `{field}`")
 
-    def add(self, job: Job) -> Job:
+    def add(self, job: GridJob) -> GridJob:
         """The job, or the same one if it is there already."""
         there = self.jobs.setdefault(job.name, job)
         if there != job:
@@ -134,7 +134,7 @@ class _Planner:
             )
         return there
 
-    def play(self, agent: AgentConfig, seed: int) -> Job:
+    def play(self, agent: AgentConfig, seed: int) -> GridJob:
         """Exploration, without a task."""
         assert agent.collect is not None
         steps = agent.collect_steps or self.config.collect_steps
@@ -142,9 +142,9 @@ class _Planner:
         config = self.read("collect", agent.collect, CollectConfig, steps=steps, pool=pool, seed=seed, threads=1)
         name = f"{Path(agent.collect).stem}{f'-{agent.collect_steps}' if agent.collect_steps else ''}-seed{seed}"
         out = self.out / "collect/logs" / name
-        return self.add(Job(f"collect-{name}", "collect", out, config, config.steps))
+        return self.add(GridJob(f"collect-{name}", "collect", out, config, config.steps))
 
-    def encoder(self, agent: AgentConfig, seed: int) -> Job | None:
+    def encoder(self, agent: AgentConfig, seed: int) -> GridJob | None:
         """What makes the encoder that the agent starts from: nothing, its play, or training from its play's release."""
         if agent.collect is None:
             return None
@@ -155,22 +155,22 @@ class _Planner:
             probe = self.read("probe", self.config.probe, ProbeConfig, threads=1)
             out = self.out / "train/probes" / made.out.name
             options = ("--encoder", str(made.out))
-            self.add(Job(f"probe-{made.out.name}", "train probe", out, probe, 1, options, (made,)))
+            self.add(GridJob(f"probe-{made.out.name}", "train probe", out, probe, 1, options, (made,)))
         return made
 
-    def offline_encoder(self, agent: AgentConfig, file: str, play: Job, seed: int) -> Job:
+    def offline_encoder(self, agent: AgentConfig, file: str, play: GridJob, seed: int) -> GridJob:
         """Play to a release, the release to an encoder."""
         name = re.sub(r"[^a-z0-9-]", "-", play.out.name.lower())
         release = self.read("release", agent.release, ReleaseConfig, name=f"open/{name}", version="1.0.0")
         folder = self.out / "datasets" / release.name / release.version
         logs = ("--logs", str(play.out), "--workers", "1", "--replace")
-        built = self.add(Job(f"release-{name}", "dataset build", folder, release, play.units, logs, (play,)))
+        built = self.add(GridJob(f"release-{name}", "dataset build", folder, release, play.units, logs, (play,)))
         updates = self.config.encoder_updates
         config = self.read("encoder", file, EncoderTrainConfig, updates=updates, seed=seed, threads=1)
         name = f"{Path(file).stem}-of-{play.out.name}"
         options = ("--release", str(folder))
         out = self.out / "train/encoders" / name
-        return self.add(Job(name, "train encoder", out, config, config.updates, options, (built,)))
+        return self.add(GridJob(name, "train encoder", out, config, config.updates, options, (built,)))
 
     def run(self, agent: AgentConfig, task: TaskName, seed: int) -> None:
         """One agent learns one task with one seed, and is scored at every checkpoint."""
@@ -183,7 +183,7 @@ class _Planner:
         _check_network(agent, config, made)
         name = f"{agent.name}-{task}-seed{seed}"
         policy = self.add(
-            Job(
+            GridJob(
                 f"policy-{name}", "train policy", self.out / "train/policies" / name, config, config.steps,
                 ("--encoder", str(made.out)) if made else (), (made,) if made else (),
             )
@@ -201,17 +201,19 @@ class _Planner:
         self.score(f"random-{task}", task, ())
         self.score(f"oracle-{task}", task, ("--oracle",), key=OracleConfig(task=task, split=split, witnesses=witnesses))
 
-    def score(self, name: str, task: TaskName, options: Sequence[str], *needs: Job, key: Config | None = None) -> None:
+    def score(
+        self, name: str, task: TaskName, options: Sequence[str], *needs: GridJob, key: Config | None = None
+    ) -> None:
         """One evaluation."""
         changed = msgspec.structs.replace(self.evaluation, task=task)
         if not needs:  # without a policy no action is the likeliest
             changed = msgspec.structs.replace(changed, actions="sampled")
         config = check(changed, source="tasks")
         out = self.out / "evaluate/scores" / name
-        self.add(Job(f"score-{name}", "evaluate", out, config, _PUZZLES, tuple(options), needs, key))
+        self.add(GridJob(f"score-{name}", "evaluate", out, config, _PUZZLES, tuple(options), needs, key))
 
 
-def _check_network(agent: AgentConfig, policy: PolicyTrainConfig, made: Job | None) -> None:
+def _check_network(agent: AgentConfig, policy: PolicyTrainConfig, made: GridJob | None) -> None:
     """Raises ConfigError if the policy could not start from the encoder that `made` will make."""
     match made.config if made else None:
         case CollectConfig(explorer=explorer):
@@ -244,12 +246,12 @@ def before_the_end(config: PolicyTrainConfig) -> Iterator[int]:
             yield at
 
 
-def seconds(job: Job, speeds: dict[Stage, float]) -> float:
+def seconds(job: GridJob, speeds: dict[StageName, float]) -> float:
     """How long a job takes, roughly."""
     return START + job.units / speeds[job.stage]
 
 
-def chains(jobs: Sequence[Job], left: dict[str, float]) -> dict[str, float]:
+def chains(jobs: Sequence[GridJob], left: dict[str, float]) -> dict[str, float]:
     """Seconds from the start of each job to the end of the longest chain that it is the first of.
 
     Args:

@@ -52,7 +52,7 @@ class AgentConfig(Config, frozen=True, kw_only=True):
             raise ValueError(f"agent {self.name!r}: `frozen` without an encoder that play has made; leave it out")
 
 
-class BenchmarkConfig(Config, frozen=True, kw_only=True):
+class GridConfig(Config, frozen=True, kw_only=True):
     """A grid of agents × tasks × seeds. Files are those of the workspace; what is given here replaces what they say."""
 
     tasks: Annotated[tuple[TaskName, ...], Meta(min_length=1)]

@@ -8,24 +8,19 @@ import os
 import signal
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from rich.console import Console
 
-from gym_open.benchmark.child import Child, alone
-from gym_open.benchmark.config import BenchmarkConfig
-from gym_open.benchmark.plan import SPEEDS, Job, Stage, chains, make_plan, seconds
-from gym_open.benchmark.table import Screen
 from gym_open.errors import GymOpenError, UsageError
 from gym_open.evaluate.config import EvaluateConfig
 from gym_open.files import lock, write_atomically
+from gym_open.grid.child import Child, JobStatus, alone
+from gym_open.grid.config import GridConfig
+from gym_open.grid.plan import SPEEDS, GridJob, StageName, chains, make_plan, seconds
+from gym_open.grid.table import Screen
 from gym_open.processes import interruptible
-from gym_open.progress import Progressed
 from gym_open.terminal import markup
-
-State = Literal["waiting", "running", "made", "up to date", "failed", "held up"]
 
 _LOOK = 0.25
 """Seconds between two looks at the children."""
@@ -33,38 +28,15 @@ _GRACE = 10.0
 """Seconds that a child has to end when it is told to."""
 
 
-@dataclass
-class Run:
-    """What has come of a job so far."""
-
-    job: Job
-    state: State = "waiting"
-    seconds: float = 0.0
-    """That it took, or has taken so far."""
-    progress: Progressed | None = None
-    reason: str = ""
-    """Why it failed."""
-
-    @property
-    def done(self) -> bool:
-        """Whether its artefact is there."""
-        return self.state in ("made", "up to date")
-
-    @property
-    def ended(self) -> bool:
-        """Whether nothing more will come of it."""
-        return self.done or self.state in ("failed", "held up")
-
-
 class Runner:
     """The jobs, their states, and at most `width` of them at work."""
 
-    def __init__(self, jobs: Sequence[Job], folder: Path, width: int) -> None:
+    def __init__(self, jobs: Sequence[GridJob], folder: Path, width: int) -> None:
         self.folder, self.width = folder, width
-        self.runs = {job.name: Run(job) for job in jobs}
+        self.statuses = {job.name: JobStatus(job) for job in jobs}
         self._jobs = jobs
         self._children: dict[str, Child] = {}
-        self._speeds: dict[Stage, float] = dict(SPEEDS)  # as last seen
+        self._speeds: dict[StageName, float] = dict(SPEEDS)  # as last seen
         self._chains = chains(jobs, {job.name: seconds(job, SPEEDS) for job in jobs})
 
     def run(self, screen: Screen) -> None:
@@ -73,30 +45,30 @@ class Runner:
         for job in self._jobs:
             write_atomically(self.folder / f"{job.name}.toml", job.toml().encode())
         for job in self._jobs:
-            if all(self.runs[need.name].done for need in job.needs) and job.is_up_to_date():
-                self.runs[job.name].state = "up to date"
-                screen.show(self)
+            if all(self.statuses[need.name].done for need in job.needs) and job.is_up_to_date():
+                self.statuses[job.name].state = "up to date"
+                screen.show(self.statuses, self.left())
         try:
-            while not all(run.ended for run in self.runs.values()):
+            while not all(run.ended for run in self.statuses.values()):
                 for job in self._ready()[: self.width - len(self._children)]:
                     self._children[job.name] = Child(job, self.folder)
-                    self.runs[job.name].state = "running"
-                screen.show(self)
+                    self.statuses[job.name].state = "running"
+                screen.show(self.statuses, self.left())
                 time.sleep(_LOOK)
                 for name in list(self._children):
                     self._look(name)
-            screen.show(self)
+            screen.show(self.statuses, self.left())
         finally:
             self._end_children()
 
-    def _ready(self) -> list[Job]:
+    def _ready(self) -> list[GridJob]:
         """Jobs that may start now: scores and probes first, which are short; then those that a longer chain needs."""
-        waiting = [run.job for run in self.runs.values() if run.state == "waiting"]
-        ready = [job for job in waiting if all(self.runs[need.name].done for need in job.needs)]
+        waiting = [run.job for run in self.statuses.values() if run.state == "waiting"]
+        ready = [job for job in waiting if all(self.statuses[need.name].done for need in job.needs)]
         return sorted(ready, key=lambda job: (job.stage not in ("evaluate", "train probe"), -self._chains[job.name]))
 
     def _look(self, name: str) -> None:
-        run, child = self.runs[name], self._children[name]
+        run, child = self.statuses[name], self._children[name]
         run.seconds = child.seconds
         run.progress = child.progress()
         if run.progress and run.progress.rate:
@@ -111,13 +83,13 @@ class Runner:
         else:
             run.state = "made" if child.has_made() else "up to date"
 
-    def _hold_up(self, failed: Job) -> None:
+    def _hold_up(self, failed: GridJob) -> None:
         """Of all that needs the failed job, directly or not, nothing will come."""
         lost = {failed.name}
         for job in self._jobs:
             if any(need.name in lost for need in job.needs):
                 lost.add(job.name)
-                self.runs[job.name].state = "held up"
+                self.statuses[job.name].state = "held up"
 
     def _end_children(self) -> None:
         for sign in (signal.SIGTERM, signal.SIGKILL):
@@ -129,18 +101,18 @@ class Runner:
 
     def left(self) -> float:
         """Seconds until all is done, roughly: the longest chain, or all work over all places, whichever is longer."""
-        remaining = {name: self._remaining(run) for name, run in self.runs.items()}
+        remaining = {name: self._remaining(run) for name, run in self.statuses.items()}
         return max(*chains(self._jobs, remaining).values(), sum(remaining.values()) / self.width)
 
-    def _remaining(self, run: Run) -> float:
-        if run.ended:
+    def _remaining(self, status: JobStatus) -> float:
+        if status.ended:
             return 0.0
-        if run.progress and run.progress.rate:
-            return (run.progress.total - run.progress.done) / run.progress.rate
-        return max(seconds(run.job, self._speeds) - run.seconds, 1.0)
+        if status.progress and status.progress.rate:
+            return (status.progress.total - status.progress.done) / status.progress.rate
+        return max(seconds(status.job, self._speeds) - status.seconds, 1.0)
 
 
-def run_benchmark(config: BenchmarkConfig, out: Path, *, root: Path, jobs: int | None, console: Console) -> Path:
+def run_grid(config: GridConfig, out: Path, *, root: Path, jobs: int | None, console: Console) -> Path:
     """Run a benchmark, or what is left of it, and write its report.
 
     Args:
@@ -169,20 +141,20 @@ def run_benchmark(config: BenchmarkConfig, out: Path, *, root: Path, jobs: int |
         runner = Runner(plan, out / "jobs", width)
         with interruptible(), Screen(console) as screen:
             runner.run(screen)
-        failed = [run for run in runner.runs.values() if run.state == "failed"]
+        failed = [run for run in runner.statuses.values() if run.state == "failed"]
         for run in failed:
             _tell(run, runner.folder, console)
-        report = _report([run.job for run in runner.runs.values() if run.done], out)
+        report = _report([run.job for run in runner.statuses.values() if run.done], out)
     if failed or report is None:
         if report is not None:
             console.print(f"the report is of what there is: {markup(str(report))}", highlight=False, soft_wrap=True)
-        held_up = sum(run.state == "held up" for run in runner.runs.values())
+        held_up = sum(run.state == "held up" for run in runner.statuses.values())
         others = f", and {held_up} that need what they make were not begun" if held_up else ""
         raise GymOpenError(f"{len(failed)} of {len(plan)} jobs failed{others}: see above; the same command tries again")
     return report
 
 
-def _tell(failed: Run, folder: Path, console: Console) -> None:
+def _tell(failed: JobStatus, folder: Path, console: Console) -> None:
     name = failed.job.name
     for line in (
         f"[bold red]failed[/] {markup(name)}: {markup(failed.reason)}",
@@ -192,7 +164,7 @@ def _tell(failed: Run, folder: Path, console: Console) -> None:
         console.print(line, highlight=False, soft_wrap=True)
 
 
-def _report(done: Sequence[Job], out: Path) -> Path | None:
+def _report(done: Sequence[GridJob], out: Path) -> Path | None:
     """The report of all scores that there are, if any; the other artefacts tell it of probes and configurations."""
     from gym_open.evaluate.report import ReportConfig, write_report
 

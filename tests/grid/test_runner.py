@@ -6,7 +6,7 @@ import itertools
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,14 +15,15 @@ import pytest
 from rich.console import Console
 
 from gym_open import artefacts, progress
-from gym_open.benchmark import AgentConfig, BenchmarkConfig, child, run_benchmark, runner
-from gym_open.benchmark.plan import Job, Stage
-from gym_open.benchmark.runner import Runner
-from gym_open.benchmark.table import Screen, table
 from gym_open.collect.config import CollectConfig
 from gym_open.errors import GymOpenError
 from gym_open.evaluate.config import EvaluateConfig
 from gym_open.files import lock
+from gym_open.grid import AgentConfig, GridConfig, child, run_grid, runner
+from gym_open.grid.child import JobStatus
+from gym_open.grid.plan import GridJob, StageName
+from gym_open.grid.runner import Runner
+from gym_open.grid.table import Screen, table
 from tests.children import is_alive, started, until
 
 ROOT = Path(__file__).parents[2]
@@ -59,7 +60,7 @@ TRACEBACK = "raise RuntimeError('broken')"
 
 
 @dataclass(frozen=True)
-class Script(Job):
+class Script(GridJob):
     """A job that is a Python script, called with the job's folder and `seconds`."""
 
     script: str = MAKE
@@ -75,12 +76,12 @@ def _scripts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(runner, "_LOOK", 0.01)
 
 
-def job(root: Path, name: str, *needs: Job, stage: Stage = "collect", units: int = 1, **more: Any) -> Script:
+def job(root: Path, name: str, *needs: GridJob, stage: StageName = "collect", units: int = 1, **more: Any) -> Script:
     config = EvaluateConfig() if stage == "evaluate" else CollectConfig()
     return Script(name, stage, root / name, config, units, (), needs, **more)
 
 
-def run(root: Path, jobs: Sequence[Job], width: int = 2) -> tuple[Runner, str]:
+def run(root: Path, jobs: Sequence[GridJob], width: int = 2) -> tuple[Runner, str]:
     made = Runner(jobs, root / "jobs", width)
     said = io.StringIO()
     with Screen(Console(file=said, width=60)) as screen:
@@ -89,7 +90,7 @@ def run(root: Path, jobs: Sequence[Job], width: int = 2) -> tuple[Runner, str]:
 
 
 def states(made: Runner) -> dict[str, str]:
-    return {name: found.state for name, found in made.runs.items()}
+    return {name: found.state for name, found in made.statuses.items()}
 
 
 def times(root: Path, name: str) -> tuple[int, int]:
@@ -129,8 +130,8 @@ def test_a_failure_stops_only_what_needs_it(tmp_path: Path) -> None:
     assert states(made) == {
         "bad": "failed", "worse": "failed", "lost": "held up", "lost-too": "held up", "fine": "made", "good": "made",
     }  # fmt: skip
-    assert made.runs["bad"].reason.endswith("no such thing")
-    assert made.runs["worse"].reason == "RuntimeError: broken"
+    assert made.statuses["bad"].reason.endswith("no such thing")
+    assert made.statuses["worse"].reason == "RuntimeError: broken"
     assert r"\x1b[31mno such thing" in said
     assert "\x1b" not in said
     assert "so far so good" in (tmp_path / "jobs/bad.log").read_text()
@@ -138,9 +139,9 @@ def test_a_failure_stops_only_what_needs_it(tmp_path: Path) -> None:
 
 def test_options_that_are_refused_are_the_reason_and_not_an_earlier_failure(tmp_path: Path) -> None:
     made, _ = run(tmp_path, [job(tmp_path, "bad", script=FAIL)])
-    assert made.runs["bad"].reason.endswith("no such thing")
+    assert made.statuses["bad"].reason.endswith("no such thing")
     made, _ = run(tmp_path, [job(tmp_path, "bad", script=BOX)])
-    assert made.runs["bad"].reason == "Unrecognized options: --polcy, a path that goes on"
+    assert made.statuses["bad"].reason == "Unrecognized options: --polcy, a path that goes on"
 
 
 def test_what_is_there_is_up_to_date_and_failures_are_tried_again(tmp_path: Path) -> None:
@@ -178,8 +179,8 @@ def test_nothing_is_started_for_an_artefact_that_is_whole_and_of_the_same_inputs
 
 def test_a_job_that_a_signal_ends_is_a_failure(tmp_path: Path) -> None:
     made, _ = run(tmp_path, [job(tmp_path, "shot", script="import os; os.kill(os.getpid(), 9)")])
-    assert made.runs["shot"].state == "failed"
-    assert made.runs["shot"].reason == "ended by SIGKILL"
+    assert made.statuses["shot"].state == "failed"
+    assert made.statuses["shot"].reason == "ended by SIGKILL"
 
 
 def test_children_have_one_thread_and_say_how_far_they_are(tmp_path: Path) -> None:
@@ -204,8 +205,8 @@ with bar("playing", 400) as shown:
     seen = set[tuple[int, int]]()
 
     class Watch(Screen):
-        def show(self, runner: Runner) -> None:
-            if (found := runner.runs["plays"].progress) is not None:
+        def show(self, statuses: Mapping[str, JobStatus], left: float) -> None:  # noqa: ARG002
+            if (found := statuses["plays"].progress) is not None:
                 seen.add((found.done, found.total))
                 (tmp_path / f"plays.{found.done}").touch()
                 assert (found.done == 0) == (found.rate == 0)
@@ -225,16 +226,16 @@ import io, signal, sys
 from pathlib import Path
 from rich.console import Console
 sys.path[:0] = sys.argv[1:2]
-from tests.benchmark import test_runner
+from tests.grid import test_runner
 from tests.children import is_alive
-from gym_open.benchmark import AgentConfig, BenchmarkConfig, child, run_benchmark, runner
+from gym_open.grid import AgentConfig, GridConfig, child, run_grid, runner
 child.PROGRAM = (sys.executable,)
 signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests themselves run in the background
 root = Path(sys.argv[2])
 script = f"import os, time; open({str(root / 'pid')!r}, 'w').write(str(os.getpid())); time.sleep(100_000)"
 runner.make_plan = lambda config, out, root: [test_runner.job(out, "long", script=script)]
 try:
-    runner.run_benchmark(None, root / "out", root=root, jobs=1, console=Console(file=io.StringIO()))
+    runner.run_grid(None, root / "out", root=root, jobs=1, console=Console(file=io.StringIO()))
 except KeyboardInterrupt:
     sys.exit(1 if is_alive(int((root / "pid").read_text())) else 130)
 """
@@ -265,7 +266,7 @@ while os.getppid() == parent:  # nor does it outlive the tests
     pid = tmp_path / "stubborn.pid"
 
     class Stop(Screen):
-        def show(self, runner: Runner) -> None:  # noqa: ARG002  (it is not shown)
+        def show(self, statuses: Mapping[str, JobStatus], left: float) -> None:  # noqa: ARG002  (it is not shown)
             if pid.exists():
                 raise KeyboardInterrupt
 
@@ -275,13 +276,13 @@ while os.getppid() == parent:  # nor does it outlive the tests
     assert not is_alive(_number(pid))
 
 
-def benchmark(root: Path, jobs: Sequence[Job], monkeypatch: pytest.MonkeyPatch, width: int | None = None) -> str:
+def benchmark(root: Path, jobs: Sequence[GridJob], monkeypatch: pytest.MonkeyPatch, width: int | None = None) -> str:
     """What a person is told by the time that it fails."""
     monkeypatch.setattr(runner, "make_plan", lambda *_, **__: jobs)
     said = io.StringIO()
-    config = BenchmarkConfig(tasks=("avoidance",), seeds=(0,), agents=(AgentConfig(name="a", policy="p.toml"),))
+    config = GridConfig(tasks=("avoidance",), seeds=(0,), agents=(AgentConfig(name="a", policy="p.toml"),))
     with pytest.raises(GymOpenError) as error:
-        run_benchmark(config, root / "out", root=root, jobs=width, console=Console(file=said, width=60))
+        run_grid(config, root / "out", root=root, jobs=width, console=Console(file=said, width=60))
     return f"{said.getvalue()}{error.value}"
 
 
@@ -309,22 +310,22 @@ def test_a_benchmark_is_run_by_one_process(tmp_path: Path, monkeypatch: pytest.M
 def test_the_time_left_follows_the_speed_that_is_seen(tmp_path: Path) -> None:
     first, second = job(tmp_path, "first", units=1000), job(tmp_path, "second", units=1000)
     made = Runner([first, second, job(tmp_path, "third", second, units=1000)], tmp_path, 2)
-    made.runs["first"].state = "running"
-    made.runs["first"].progress = progress.Progressed(done=500, total=1000, rate=10.0)
+    made.statuses["first"].state = "running"
+    made.statuses["first"].progress = progress.Progressed(done=500, total=1000, rate=10.0)
     alone = 6.0 + 1000 / 250  # a job of 1,000 steps, before anything is known
     assert made.left() == pytest.approx(max(50.0, 2 * alone))
-    made.runs["first"].state = made.runs["second"].state = "made"
+    made.statuses["first"].state = made.statuses["second"].state = "made"
     assert made.left() == pytest.approx(alone)
 
 
 def test_a_table_fits_the_terminal_and_shows_work_and_failures_first(tmp_path: Path) -> None:
     jobs = [job(tmp_path, f"job-{i:03d}") for i in range(300)]
     made = Runner(jobs, tmp_path, 2)
-    made.runs["job-200"].state = "running"
-    made.runs["job-200"].progress = progress.Progressed(done=1234, total=5000, rate=56.7)
-    made.runs["job-250"].state, made.runs["job-250"].reason = "failed", "no \x1b[2J such [bold]thing"
+    made.statuses["job-200"].state = "running"
+    made.statuses["job-200"].progress = progress.Progressed(done=1234, total=5000, rate=56.7)
+    made.statuses["job-250"].state, made.statuses["job-250"].reason = "failed", "no \x1b[2J such [bold]thing"
     said = io.StringIO()
-    Console(file=said, width=100, color_system=None).print(table(made, height=20))
+    Console(file=said, width=100, color_system=None).print(table(made.statuses, made.left(), height=20))
     lines = [line.rstrip() for line in said.getvalue().splitlines()]
     assert len(lines) < 20
     assert lines[0].startswith("0 of 300 jobs done, 1 running, 1 failed, about")

@@ -2,8 +2,9 @@
 
 import time
 from collections import Counter
+from collections.abc import Mapping
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
@@ -11,11 +12,9 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from gym_open.grid.child import JobStatus
 from gym_open.progress import duration, speed
 from gym_open.terminal import printable
-
-if TYPE_CHECKING:
-    from gym_open.benchmark.runner import Run, Runner
 
 _STYLES = {
     "waiting": "dim", "running": "cyan", "made": "green", "up to date": "green", "failed": "bold red", "held up": "red",
@@ -43,15 +42,15 @@ class Screen:
         if self._live:
             self._live.stop()
 
-    def show(self, runner: "Runner") -> None:
+    def show(self, statuses: Mapping[str, JobStatus], left: float) -> None:
         """Show how things stand."""
         if self._live:
-            self._live.update(table(runner, self.console.height), refresh=True)
+            self._live.update(table(statuses, left, self.console.height), refresh=True)
         else:
-            self._print(runner)
+            self._print(statuses, left)
 
-    def _print(self, runner: "Runner") -> None:
-        for name, run in runner.runs.items():
+    def _print(self, statuses: Mapping[str, JobStatus], left: float) -> None:
+        for name, run in statuses.items():
             if run.state not in ("waiting", self._said.get(name)):
                 self._said[name] = run.state
                 took = f" ({duration(run.seconds)})" if run.seconds else ""
@@ -59,8 +58,8 @@ class Screen:
                 self._line(f"{name}: {run.state}{took}{reason}")
         if time.monotonic() - self._lately >= _EVERY:
             self._lately = time.monotonic()
-            self._line(summary(runner))
-            for name, run in runner.runs.items():
+            self._line(summary(statuses, left))
+            for name, run in statuses.items():
                 if run.state == "running":
                     self._line(f"  {name}: {how_far(run)}")
 
@@ -68,10 +67,10 @@ class Screen:
         self.console.print(printable(text), highlight=False, markup=False, soft_wrap=True)
 
 
-def table(runner: "Runner", height: int) -> RenderableType:
+def table(statuses: Mapping[str, JobStatus], left: float, height: int) -> RenderableType:
     """The jobs that fit on a screen of `height` lines: those at work first, those that failed, then what comes next."""
     order = ("running", "failed", "waiting", "held up", "made", "up to date")
-    runs = sorted(runner.runs.values(), key=lambda run: order.index(run.state))
+    runs = sorted(statuses.values(), key=lambda run: order.index(run.state))
     room = max(height - 4, 1)
     shown = Table(box=None, pad_edge=False, show_header=False)
     for ratio in (3, None, None, None, None):
@@ -87,21 +86,21 @@ def table(runner: "Runner", height: int) -> RenderableType:
             Text(duration(run.seconds) if run.seconds else ""),
         )
     more = [Text(f"… and {len(runs) - room} more", style="dim")] if len(runs) > room else []
-    return Group(Text(summary(runner), style="bold"), shown, *more)
+    return Group(Text(summary(statuses, left), style="bold"), shown, *more)
 
 
-def summary(runner: "Runner") -> str:
+def summary(statuses: Mapping[str, JobStatus], left: float) -> str:
     """A line on all jobs together."""
-    states = Counter(run.state for run in runner.runs.values())
+    states = Counter(run.state for run in statuses.values())
     done = states["made"] + states["up to date"]
-    parts = [f"{done} of {len(runner.runs)} jobs done"]
+    parts = [f"{done} of {len(statuses)} jobs done"]
     parts += [f"{states[state]} {state}" for state in ("running", "failed", "held up") if states[state]]
-    if left := runner.left():
+    if left:
         parts.append(f"about {duration(left)} left")
     return ", ".join(parts)
 
 
-def how_far(run: "Run") -> str:
+def how_far(run: JobStatus) -> str:
     """Units done and to do, speed, and time left of a job at work."""
     progress = run.progress
     if progress is None:

@@ -8,10 +8,12 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from gym_open import artefacts
-from gym_open.benchmark.plan import Job
+from gym_open.grid.plan import GridJob
 from gym_open.processes import end_with_parent
 from gym_open.progress import FILE, Progressed
 
@@ -20,10 +22,36 @@ _TAIL = 10_000
 """Bytes at the end of a log in which the reason of a failure is looked for."""
 
 
+JobState = Literal["waiting", "running", "made", "up to date", "failed", "held up"]
+
+
+@dataclass
+class JobStatus:
+    """What has come of a job so far."""
+
+    job: GridJob
+    state: JobState = "waiting"
+    seconds: float = 0.0
+    """That it took, or has taken so far."""
+    progress: Progressed | None = None
+    reason: str = ""
+    """Why it failed."""
+
+    @property
+    def done(self) -> bool:
+        """Whether its artefact is there."""
+        return self.state in ("made", "up to date")
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing more will come of it."""
+        return self.done or self.state in ("failed", "held up")
+
+
 class Child:
     """The process of one job. What it prints is added to `NAME.log`, how far it is stands in `NAME.progress`."""
 
-    def __init__(self, job: Job, folder: Path) -> None:
+    def __init__(self, job: GridJob, folder: Path) -> None:
         self.job, self.log = job, folder / f"{job.name}.log"
         self._progress = folder / f"{job.name}.progress"
         self._progress.unlink(missing_ok=True)
@@ -89,12 +117,12 @@ def _boxed(lines: list[str]) -> list[str]:
     return [" ".join(first)] if first else []
 
 
-def alone(job: Job, folder: Path) -> str:
+def alone(job: GridJob, folder: Path) -> str:
     """The command that runs a job by itself, as a person would type it."""
     return f"OMP_NUM_THREADS=1 gym-open {shlex.join(job.words(folder))}"
 
 
-def _sealed(job: Job) -> int | None:
+def _sealed(job: GridJob) -> int | None:
     """When the job's artefact was sealed, in nanoseconds, or None if there is none."""
     try:
         return (job.out / artefacts.MANIFEST).stat().st_mtime_ns
