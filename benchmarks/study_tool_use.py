@@ -17,8 +17,8 @@ from rich.table import Table
 from gym_open import progress
 from gym_open.envs import constants as c
 from gym_open.envs.env import OpenEnv
-from gym_open.formats.episodes import replay_puzzle
 from gym_open.formats.scores import read_episodes
+from gym_open.replay.episodes import replay_puzzle
 
 
 def first_steps(scores: Path, puzzle: str) -> tuple[float, float]:

@@ -49,7 +49,7 @@ class LogReplay(Command):
 
     def run(self) -> None:
         """Replay, print, and fail if anything has diverged."""
-        from gym_open.formats.logs.replay_report import replay_report
+        from gym_open.replay.table import replay_report
 
         report = replay_report(self.log, self.tolerance, self.streams)
         for table in report.tables:

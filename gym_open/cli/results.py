@@ -92,7 +92,7 @@ class ScoreVerify(Command):
     def run(self) -> None:
         """Verify."""
         from gym_open.evaluate.verify import verify_scores
-        from gym_open.formats.episodes import replay_puzzle
+        from gym_open.replay.episodes import replay_puzzle
 
         if self.puzzle is None:
             record, chosen = verify_scores(self.scores, self.policy)

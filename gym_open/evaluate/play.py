@@ -23,10 +23,10 @@ from gym_open.errors import ArtefactError, UsageError
 from gym_open.evaluate.config import CheckpointConfig, EvaluateConfig, OracleConfig
 from gym_open.evaluate.proof import PolicyFacts, oracle_proof, policy_facts, task_free_proof
 from gym_open.evaluate.scores import Episodes, summarise, write_episodes, write_scores
-from gym_open.formats.acting import action_generator, draw_action, load_judge
 from gym_open.formats.scores import Proof, Scores
 from gym_open.hardware import hardware
 from gym_open.precision import Precision
+from gym_open.replay.policy import action_generator, draw_action, load_policy_function
 
 Actor = Callable[[np.ndarray], np.ndarray]
 """From images (B, 84, 84, 3) uint8, or states (B, `STATE_SIZE`) float32, to action probabilities (B, 9)."""
@@ -251,5 +251,5 @@ def uniform(images: np.ndarray) -> np.ndarray:
 
 def load_actor(folder: Path, config: EvaluateConfig) -> tuple[Actor, bool]:
     """The policy in a folder, and whether it sees states in place of pictures."""
-    judge, states = load_judge(folder, config.threads)
+    judge, states = load_policy_function(folder, config.threads)
     return lambda seen: judge(seen)[0], states

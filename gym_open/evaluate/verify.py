@@ -22,8 +22,8 @@ from gym_open.evaluate.metrics import a_success
 from gym_open.evaluate.play import chooser, load_actor, play, uniform
 from gym_open.evaluate.proof import human_proof, oracle_proof, policy_facts, task_free_proof
 from gym_open.evaluate.scores import Episodes, summarise
-from gym_open.formats.episodes import play_again, puzzle_of, refused
 from gym_open.formats.scores import EPISODES, RECORD, Proof, Scores, read_episodes, read_scores
+from gym_open.replay.episodes import puzzle_of, refused, replay_row
 
 Row = dict[str, Any]
 
@@ -76,7 +76,7 @@ def verify_scores(scores: Path, policy: Path | None = None) -> Verified:
     chosen = _choose_again(claim, policy, puzzles)
     with progress.bar("replay", len(puzzles)) as bar:
         for puzzle, row in zip(puzzles, claim.rows, strict=True):
-            play_again(claim.file, puzzle, row)
+            replay_row(claim.file, puzzle, row)
             bar.advance()
     return Verified(record, chosen)
 

@@ -16,7 +16,7 @@ from gym_open.envs.puzzles import Puzzle
 from gym_open.envs.tasks import judge, rewarded, step_budget
 from gym_open.envs.world import World
 from gym_open.errors import UsageError
-from gym_open.formats.episodes import scored_row
+from gym_open.replay.episodes import scored_row
 from gym_open.viz.film import FAINT, FILMS, INK, PAPER, check_suffix, enlarged, even, typeface, write_film, write_whole
 
 Look = Literal["handsome", "observation"]

@@ -14,17 +14,17 @@ from gym_open.datasets.verify.tables import puzzles_of
 from gym_open.datasets.writing.frames import LENGTH_CAP
 from gym_open.envs.physics.contacts import Contact
 from gym_open.errors import GymOpenError
-from gym_open.formats.logs.replay_report import by_stream, by_window, worst
 from gym_open.formats.releases.features import STATE_FIELDS
 from gym_open.formats.releases.layout import data_path
 from gym_open.formats.releases.reader import Release
-from gym_open.formats.replaying import VERDICTS, Moment, Player, Window
+from gym_open.replay.player import VERDICTS, Player, RecordedObservation, ReplayWindow
+from gym_open.replay.table import stream_table, window_table, worst_verdict
 
 
 class Replay(msgspec.Struct):
     """What came of it."""
 
-    windows: list[Window]
+    windows: list[ReplayWindow]
     steps: int = 0
     """Steps that were played again."""
     skipped: int = 0
@@ -36,16 +36,16 @@ class Replay(msgspec.Struct):
         left = f", {self.skipped:,} not replayed (before the first state of their episode)" if self.skipped else ""
         if not self.windows:
             return f"nothing to replay{left}"
-        return f"{worst(self.windows)} ({self.steps:,} steps in {len(self.windows):,} windows{left})"
+        return f"{worst_verdict(self.windows)} ({self.steps:,} steps in {len(self.windows):,} windows{left})"
 
     def tables(self, tolerance: float) -> list[Table]:
         """A row a stream, and the windows that are not identical."""
-        by_number: dict[int, list[Window]] = {}
+        by_number: dict[int, list[ReplayWindow]] = {}
         for window in sorted(self.windows, key=lambda window: window.stream):
             by_number.setdefault(window.stream, []).append(window)
         others = [window for window in self.windows if window.verdict != "identical"]
         others.sort(key=lambda window: -VERDICTS.index(window.verdict))
-        return [by_stream(list(by_number.values()), tolerance)] + ([by_window(others)] if others else [])
+        return [stream_table(list(by_number.values()), tolerance)] + ([window_table(others)] if others else [])
 
 
 def replay_release(release: Release, tolerance: float, findings: Findings) -> Replay:
@@ -84,7 +84,7 @@ def replay_release(release: Release, tolerance: float, findings: Findings) -> Re
     return done
 
 
-def _difference(window: Window, release: Release) -> tuple[str, str]:
+def _difference(window: ReplayWindow, release: Release) -> tuple[str, str]:
     """In which file a window diverged, and where and by how much, in words."""
     rows = release.episodes
     rows = rows[(rows["stream"] == window.stream) & (rows["segment"] == window.segment)].sort_values("piece")
@@ -92,7 +92,7 @@ def _difference(window: Window, release: Release) -> tuple[str, str]:
     off = max(window.state_error, key=window.state_error.__getitem__, default=None)
     parts = [] if off is None else [f"{off} off by {window.state_error[off]:.2g}"]
     parts += [f"contacts off in {window.contact_steps} step(s)"] if window.contact_steps else []
-    parts += [f"{window.pixels:,} pixel(s) of {window.pictures} picture(s)"] if window.pixels else []
+    parts += [f"{window.pixels:,} pixel(s) of {window.images} picture(s)"] if window.pixels else []
     where = f"episode {row['episode_index']}: diverged in the replay at step {window.first_diverged} of its stream"
     return data_path(row["data/chunk_index"], row["data/file_index"]), f"{where} ({', '.join(parts)})"
 
@@ -113,7 +113,7 @@ class _Played:
         self._next: tuple[int, int, int] | None = None
         """Stream, segment and piece that would go on from where the world is now."""
 
-    def episode(self, row: dict[str, Any]) -> Iterator[Window]:
+    def episode(self, row: dict[str, Any]) -> Iterator[ReplayWindow]:
         """Play an episode; every window that ends in it. One goes on in the next episode, if that is the next piece.
 
         Raises:
@@ -129,29 +129,35 @@ class _Played:
         values = self._release.numbers(row["dataset_from_index"], row["dataset_to_index"])
         images = self._release.images(range(row["dataset_from_index"], row["dataset_to_index"]))
         states = values["observation.environment_state"].reshape(steps + 1, -1, len(STATE_FIELDS))
-        player.see(Moment(states[0], images[0]), names)
+        player.compare(RecordedObservation(states[0], images[0]), names)
         for i in range(steps + 1):
             if (frame := self._rows.get((number, i))) is not None:
-                yield from self._restart(row, i, self._states[frame], Moment(states[i], images[i]))
+                yield from self._restart(row, i, self._states[frame], RecordedObservation(states[i], images[i]))
             if i < steps and player.window is None:
                 self.skipped += 1
             elif i < steps:
                 against = _against(*(values[f"contact.{name}"][i] for name in ("count", "agent", "impulse")))
-                player.step(int(values["action.index"][i]), against, Moment(states[i + 1], images[i + 1]), names)
+                player.step(
+                    int(values["action.index"][i]), against, RecordedObservation(states[i + 1], images[i + 1]), names
+                )
 
-    def finish(self) -> list[Window]:
+    def finish(self) -> list[ReplayWindow]:
         """The window that was going on, if there is one."""
         window = self._player.finish()
         return [] if window is None else [window]
 
-    def _restart(self, row: dict[str, Any], i: int, state: np.ndarray, seen: Moment) -> Iterator[Window]:
+    def _restart(
+        self, row: dict[str, Any], i: int, state: np.ndarray, seen: RecordedObservation
+    ) -> Iterator[ReplayWindow]:
         """End a window at frame `i` of an episode, and begin the next one in the stored state."""
         player = self._player
         if player.window is None:
             player.load(self._puzzles[row["stream"], row["world"]])
-        player.arrive(state)
+        player.check_state(state)
         yield from self.finish()
-        player.begin(Window(row["stream"], row["segment"], row["first_step"] + i), state, seen, player.world.inventory)
+        player.begin(
+            ReplayWindow(row["stream"], row["segment"], row["first_step"] + i), state, seen, player.world.inventory
+        )
 
 
 def _against(count: int, agent: int, impulse: np.float32) -> Callable[[tuple[Contact, ...]], float | None]:

@@ -16,9 +16,9 @@ from gym_open.envs.puzzles.witnesses import witness_of
 from gym_open.envs.state import state_vector
 from gym_open.envs.tasks import step_budget
 from gym_open.errors import ArtefactError, UsageError
-from gym_open.formats.acting import Judge, action_generator, draw_action, load_judge
-from gym_open.formats.episodes import replay_puzzle
 from gym_open.formats.scores import read_scores
+from gym_open.replay.episodes import replay_puzzle
+from gym_open.replay.policy import PolicyFunction, action_generator, draw_action, load_policy_function
 from gym_open.viz.puzzles.names import agent_names
 
 WITNESS = "witness"
@@ -101,7 +101,7 @@ class Puzzled(msgspec.Struct, frozen=True, eq=False):
 class _Witnessed:
     """Keeps what there is to see of an episode, moment by moment."""
 
-    def __init__(self, judge: Judge | None = None, *, states: bool = False) -> None:
+    def __init__(self, judge: PolicyFunction | None = None, *, states: bool = False) -> None:
         self._judge, self._of_states = judge, states
         self.images: list[np.ndarray] = []
         self.infos: list[dict[str, Any]] = []
@@ -186,7 +186,7 @@ def _scored_folder(policy: Path, scores: Path, trained: int) -> Path:
 
 
 def _replayed(name: str, scores: Path, puzzle: str, policy: Path | None) -> Episode:
-    judge, states = load_judge(policy, THREADS) if policy else (None, False)
+    judge, states = load_policy_function(policy, THREADS) if policy else (None, False)
     seen = _Witnessed(judge, states=states)
     replay = replay_puzzle(scores, puzzle, seen.see)
     return seen.episode(name, replay.actions, replay.rewards, terminated=replay.terminated)
@@ -196,7 +196,7 @@ def _by_policy(name: str, policy: Path, puzzle: str, layout: Puzzle) -> Episode:
     trained_for = artefacts.lineage(policy).facts.get("task")
     if trained_for != layout.task:
         raise ArtefactError(f"{policy}: trained for task {trained_for!r}, but {puzzle} is one of {layout.task}")
-    judge, states = load_judge(policy, THREADS)
+    judge, states = load_policy_function(policy, THREADS)
     seen, rng = _Witnessed(judge, states=states), action_generator(SEED, layout.task, locate(puzzle)[2])
     return _play(name, layout, seen, lambda _: draw_action(seen.opinions[-1][0][0], rng))
 

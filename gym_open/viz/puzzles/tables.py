@@ -10,8 +10,8 @@ import numpy as np
 from gym_open.envs.puzzles import Task
 from gym_open.envs.puzzles.sets import Split, locate, puzzles_of
 from gym_open.envs.tasks import PAY, step_budget
-from gym_open.formats.episodes import puzzle_of
 from gym_open.formats.scores import EPISODES, Scores, read_episodes, read_scores
+from gym_open.replay.episodes import puzzle_of
 from gym_open.terminal import printable
 from gym_open.viz.puzzles.names import agent_names
 

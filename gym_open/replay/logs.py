@@ -1,4 +1,4 @@
-"""Playing a log again: its segments, followed window by window in a fresh simulation (see `formats.replaying`)."""
+"""Replay of a log: its segments, window by window, in a new simulation (see `replay.player`)."""
 
 from collections.abc import Callable, Iterator, Sequence
 
@@ -9,10 +9,10 @@ from gym_open.envs.physics.model import model_xml
 from gym_open.errors import ArtefactError
 from gym_open.formats.logs.reader import Log
 from gym_open.formats.logs.schemas import LogError, Segment
-from gym_open.formats.replaying import Moment, Player, Window
+from gym_open.replay.player import Player, RecordedObservation, ReplayWindow
 
 _PIECE = 256
-"""Steps of the log that are in memory at a time."""
+"""Steps of the log that are held in memory at a time."""
 
 
 def same_model(log: Log) -> bool:
@@ -20,16 +20,16 @@ def same_model(log: Log) -> bool:
     return log.model_xml == model_xml()
 
 
-def replay(log: Log, tolerance: float) -> Iterator[Window]:
-    """Play a log again, window by window, each with what differs in it.
+def replay(log: Log, tolerance: float) -> Iterator[ReplayWindow]:
+    """Replay a log, window by window; each window says what differs.
 
     Args:
         log: opened by `open_log`.
-        tolerance: how far a number may be off, in its unit.
+        tolerance: how far a number may differ, in its unit.
 
     Raises:
-        LogError: if the log is damaged, or has another model's objects.
-        ArtefactError: if a state is none of this version's world.
+        LogError: if the log is damaged, or has the objects of another model.
+        ArtefactError: if a state does not fit this version's world.
     """
     player = Player(tolerance)
     for piece in log.segments(_PIECE):
@@ -38,8 +38,8 @@ def replay(log: Log, tolerance: float) -> Iterator[Window]:
         yield window
 
 
-def _play(player: Player, log: Log, piece: Segment) -> Iterator[Window]:
-    """Play a piece of a segment; every window that ends in it is yielded."""
+def _play(player: Player, log: Log, piece: Segment) -> Iterator[ReplayWindow]:
+    """Replay a piece of a segment and yield every window that ends in it."""
     inventory = player.world.inventory
     if piece.object_names != inventory:
         raise LogError(
@@ -51,31 +51,31 @@ def _play(player: Player, log: Log, piece: Segment) -> Iterator[Window]:
         if i in frames:
             yield from _restart(player, log, piece, i, frames[i].integration_state)
         if i < len(piece.actions):
-            player.step(int(piece.actions[i]), _against(piece.contacts[i]), _moment(piece, i + 1), inventory)
+            player.step(int(piece.actions[i]), _against(piece.contacts[i]), _recorded(piece, i + 1), inventory)
     if piece.ended is not None and (window := player.finish()):
         yield window
 
 
-def _restart(player: Player, log: Log, piece: Segment, i: int, state: np.ndarray) -> Iterator[Window]:
-    """End a window at observation `i` of the piece, and begin the next one in the logged state."""
+def _restart(player: Player, log: Log, piece: Segment, i: int, state: np.ndarray) -> Iterator[ReplayWindow]:
+    """End a window at observation `i` of the piece, and begin the next one from the logged state."""
     step = piece.first_step + i
     if player.window is None:
         player.load(piece.puzzle)
-    player.arrive(state)
+    player.check_state(state)
     if window := player.finish():
         yield window
     try:
-        player.begin(Window(piece.stream, piece.index, step), state, _moment(piece, i), piece.object_names)
+        player.begin(ReplayWindow(piece.stream, piece.index, step), state, _recorded(piece, i), piece.object_names)
     except ArtefactError as error:
         raise ArtefactError(
             f"{log.path}: keyframe before step {step}: {error}; replay it with the version in its provenance"
         ) from None
 
 
-def _moment(piece: Segment, i: int) -> Moment:
+def _recorded(piece: Segment, i: int) -> RecordedObservation:
     """Observation `i` of the piece."""
-    depth, segmentation = (None if pictures is None else pictures[i] for pictures in (piece.depth, piece.segmentation))
-    return Moment(piece.object_state[i], piece.images[i], depth, segmentation)
+    depth, segmentation = (None if images is None else images[i] for images in (piece.depth, piece.segmentation))
+    return RecordedObservation(piece.object_state[i], piece.images[i], depth, segmentation)
 
 
 def _against(logged: tuple[Contact, ...]) -> Callable[[tuple[Contact, ...]], float | None]:
@@ -83,9 +83,10 @@ def _against(logged: tuple[Contact, ...]) -> Callable[[tuple[Contact, ...]], flo
 
 
 def contact_error(one: Sequence[Contact], other: Sequence[Contact]) -> float:
-    """How far two steps' contacts are apart (N s, m).
+    """How far the contacts of two steps differ (N s, m).
 
-    The greatest difference of impulse, position or normal of a contact that is in both; the impulse of one that is not.
+    A contact in both counts with its greatest difference of impulse, position or normal. A contact in only one counts
+    with its impulse.
     """
     first, second = ({(contact.a, contact.b): contact for contact in contacts} for contacts in (one, other))
     errors = [contact.impulse for pair, contact in (first | second).items() if (pair in first) != (pair in second)]

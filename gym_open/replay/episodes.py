@@ -1,7 +1,7 @@
-"""Episodes of scores, played again by the id of their puzzle.
+"""Replay of scored episodes, each found by the id of its puzzle.
 
-The recorded actions are taken in a fresh world, and each must be paid what was recorded. A machine of another type may
-round otherwise, and contacts let that grow: there, a difference is no proof of a forgery.
+The recorded actions are taken in a new world, and each must get the recorded reward. A machine of another type may
+round differently, and contacts make such differences grow. On such a machine, a difference does not prove a forgery.
 """
 
 from collections.abc import Callable
@@ -21,45 +21,45 @@ from gym_open.errors import ArtefactError
 from gym_open.formats.scores import EPISODES, Scores, read_episodes, read_scores
 
 _ELSE = "the scores are forged, or were made on another type of machine or with other packages; evaluate again"
-See = Callable[[OpenEnv, np.ndarray, dict[str, Any]], None]
-"""Takes the environment as it is now, its observation (84, 84, 3) uint8, and its info."""
+Observer = Callable[[OpenEnv, np.ndarray, dict[str, Any]], None]
+"""Takes the environment in its present state, its observation (84, 84, 3) uint8, and its info."""
 
 
-class Replay(msgspec.Struct, frozen=True):
-    """An episode that came out again as it was recorded."""
+class ReplayedEpisode(msgspec.Struct, frozen=True):
+    """An episode whose replay gave what was recorded."""
 
     id: str
-    """Of the puzzle, such as `tool-use/017`."""
+    """Id of the puzzle, such as `tool-use/017`."""
     puzzle: Puzzle
     actions: list[int]
     rewards: list[float]
-    """Of each action."""
+    """One per action."""
     terminated: bool
-    """Whether the task ended it, or its budget did."""
+    """Whether the task ended the episode; otherwise its step budget did."""
 
 
-def replay_puzzle(scores: Path, puzzle: str, see: See | None = None) -> Replay:
-    """Play again what was played on one puzzle.
+def replay_puzzle(scores: Path, puzzle: str, observe: Observer | None = None) -> ReplayedEpisode:
+    """Replay the episode on one puzzle.
 
     Args:
-        scores: a scores artefact, of a policy, the random agent, the oracle or a person.
+        scores: a scores artefact of a policy, the random agent, the oracle or a person.
         puzzle: its id, such as `tool-use/017` or `tool-use/validation/017`.
-        see: is shown the beginning and every step.
+        observe: called at the beginning and after every step.
 
     Raises:
         PuzzleError: if no fixed puzzle has this id.
-        ArtefactError: if the scores are damaged, do not hold the puzzle, or part from what happens: names the step.
+        ArtefactError: if the scores are damaged, lack the puzzle, or differ from the replay; then it names the step.
     """
     row = scored_row(scores, puzzle)
-    return play_again(scores / EPISODES, puzzle_of(scores / EPISODES, read_scores(scores), row), row, see)
+    return replay_row(scores / EPISODES, puzzle_of(scores / EPISODES, read_scores(scores), row), row, observe)
 
 
 def scored_row(scores: Path, puzzle: str) -> dict[str, Any]:
-    """What was recorded of one puzzle: a row of `read_episodes`.
+    """Return the record of one puzzle's episode: a row of `read_episodes`.
 
     Raises:
         PuzzleError: if no fixed puzzle has this id.
-        ArtefactError: if the scores are damaged, or do not hold the puzzle.
+        ArtefactError: if the scores are damaged, or lack the puzzle.
     """
     puzzle_by_id(puzzle)
     artefacts.verify(scores, "scores")
@@ -72,12 +72,12 @@ def scored_row(scores: Path, puzzle: str) -> dict[str, Any]:
 
 
 def refused(file: Path, row: dict[str, Any], what: str) -> ArtefactError:
-    """The error that says what is wrong with a row."""
+    """Return the error that says what is wrong with a row."""
     return ArtefactError(f"{file}: puzzle {row['puzzle']}: {what}; {_ELSE}")
 
 
 def puzzle_of(file: Path, record: Scores, row: dict[str, Any]) -> Puzzle:
-    """The puzzle of a row that could have been played."""
+    """Return the puzzle of a row, after checking that an episode on it can look like this row."""
     puzzle, actions, rewards = puzzle_by_id(row["puzzle"]), row["actions"], row["rewards"]
     if puzzle.task != record.task:
         raise refused(file, row, f"a puzzle of task {puzzle.task}, but the scores are of {record.task}")
@@ -92,33 +92,33 @@ def puzzle_of(file: Path, record: Scores, row: dict[str, Any]) -> Puzzle:
     return puzzle
 
 
-def play_again(file: Path, puzzle: Puzzle, row: dict[str, Any], see: See | None = None) -> Replay:
-    """Play the actions of a row, and hold what comes of them against it.
+def replay_row(file: Path, puzzle: Puzzle, row: dict[str, Any], observe: Observer | None = None) -> ReplayedEpisode:
+    """Replay the actions of a row and compare rewards and end with the record.
 
     Args:
         file: named in errors.
         puzzle: of the row, from `puzzle_of`.
-        row: of `read_episodes`.
-        see: is shown the beginning and every step.
+        row: from `read_episodes`.
+        observe: called at the beginning and after every step.
 
     Raises:
-        ArtefactError: naming the first step at which something else happens.
+        ArtefactError: if the replay differs; names the first such step.
     """
     actions, rewards = row["actions"], row["rewards"]
     env = OpenEnv(puzzle.task)
     image, info = env.reset(seed=0, options={"puzzle": puzzle})
-    if see:
-        see(env, image, info)
+    if observe:
+        observe(env, image, info)
     terminated = False
     for step, (action, reward) in enumerate(zip(actions, rewards, strict=True), 1):
-        image, paid, terminated, truncated, info = env.step(action)
-        if see:
-            see(env, image, info)
-        if paid != reward:
-            raise refused(file, row, f"step {step}: reward {reward} was recorded, {paid} is paid")
+        image, replayed, terminated, truncated, info = env.step(action)
+        if observe:
+            observe(env, image, info)
+        if replayed != reward:
+            raise refused(file, row, f"step {step}: reward {reward} was recorded, the replay gave {replayed}")
         if (terminated or truncated) is not (step == len(actions)):
             ends = "ends" if step < len(actions) else "does not end"
             raise refused(file, row, f"step {step}: the episode {ends} here")
     if terminated != row["terminated"]:
         raise refused(file, row, f"`terminated` is {row['terminated']}, but the episode's end says {terminated}")
-    return Replay(row["puzzle"], puzzle, actions, rewards, terminated)
+    return ReplayedEpisode(row["puzzle"], puzzle, actions, rewards, terminated)

@@ -1,4 +1,4 @@
-"""A replay of logs as a person reads it: a row a stream, and the windows that went another way."""
+"""Tables of a replay for people: one row per stream, and the windows that differ."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,32 +9,32 @@ from rich.table import Table
 from gym_open import progress
 from gym_open.errors import UsageError
 from gym_open.formats.logs.reader import Log, open_log, open_logs
-from gym_open.formats.logs.replay import replay, same_model
-from gym_open.formats.replaying import VERDICTS, Verdict, Window
+from gym_open.replay.logs import replay, same_model
+from gym_open.replay.player import VERDICTS, ReplayWindow, Verdict
 from gym_open.terminal import markup
 
 SHOWN = 12
-"""Windows that are listed at most."""
+"""Greatest number of windows in the list."""
 
 
-class Report(msgspec.Struct):
-    """What came of a replay."""
+class ReplayReport(msgspec.Struct):
+    """The result of a replay of logs."""
 
     verdict: Verdict
     """The worst of all windows."""
     tables: list[Table]
     notes: list[str]
-    """What else is to be known, such as a model of another version."""
+    """Remarks, such as a model of another version."""
     first_diverged: str = ""
-    """Where, in words."""
+    """Where the first window diverged, in words."""
 
 
-def replay_report(source: Path, tolerance: float, streams: Sequence[int] = ()) -> Report:
-    """Replay a log file, or all of a folder's (or only some streams), and say what came of it.
+def replay_report(source: Path, tolerance: float, streams: Sequence[int] = ()) -> ReplayReport:
+    """Replay one log file, or all logs of a folder (or only some streams), and report the result.
 
     Raises:
-        ArtefactError: if a log is missing or damaged, or not of this version's world.
-        UsageError: if a stream is not there, or the tolerance is negative.
+        ArtefactError: if a log is missing or damaged, or does not fit this version's world.
+        UsageError: if a stream does not exist, or the tolerance is negative.
     """
     if not tolerance >= 0:
         raise UsageError(f"--tolerance: expected 0 or more, got {tolerance}")
@@ -43,10 +43,10 @@ def replay_report(source: Path, tolerance: float, streams: Sequence[int] = ()) -
     if unknown := sorted(set(streams) - set(known)):
         raise UsageError(f"--streams: {source} holds the streams {known}, got {unknown}")
     chosen = [log for log in logs if not streams or log.stream in streams]
-    found: list[tuple[Log, list[Window]]] = []
+    found: list[tuple[Log, list[ReplayWindow]]] = []
     with progress.bar("replaying", sum(log.n_steps for log in chosen)) as bar:
         for log in chosen:
-            windows: list[Window] = []
+            windows: list[ReplayWindow] = []
             for window in replay(log, tolerance):
                 windows.append(window)
                 bar.advance(window.steps, f"stream {log.stream}")
@@ -54,26 +54,26 @@ def replay_report(source: Path, tolerance: float, streams: Sequence[int] = ()) -
     return _report(found, tolerance)
 
 
-def _report(found: Sequence[tuple[Log, list[Window]]], tolerance: float) -> Report:
+def _report(found: Sequence[tuple[Log, list[ReplayWindow]]], tolerance: float) -> ReplayReport:
     notes = [
         f"stream {log.stream}: the model in it is not the one that this version builds; it was written by "
         f"{log.provenance.get('code', 'an unknown version')}"
         for log, _ in found
         if not same_model(log)
     ]
-    tables = [by_stream([windows for _, windows in found], tolerance)]
+    tables = [stream_table([windows for _, windows in found], tolerance)]
     others = [window for _, windows in found for window in windows if window.verdict != "identical"]
     others.sort(key=lambda window: -VERDICTS.index(window.verdict))
     if others:
-        tables.append(by_window(others))
-    report = Report(worst(others), tables, notes)
+        tables.append(window_table(others))
+    report = ReplayReport(worst_verdict(others), tables, notes)
     if report.verdict == "diverged":
         first = others[0]
         report.first_diverged = f"stream {first.stream}, segment {first.segment}, step {first.first_diverged}"
     return report
 
 
-def worst(windows: Sequence[Window]) -> Verdict:
+def worst_verdict(windows: Sequence[ReplayWindow]) -> Verdict:
     """The worst verdict of all windows."""
     return VERDICTS[max((VERDICTS.index(window.verdict) for window in windows), default=0)]
 
@@ -85,8 +85,8 @@ def _table(title: str, columns: Sequence[str]) -> Table:
     return table
 
 
-def by_stream(streams: Sequence[list[Window]], tolerance: float) -> Table:
-    """A row for each stream's windows."""
+def stream_table(streams: Sequence[list[ReplayWindow]], tolerance: float) -> Table:
+    """One row per stream."""
     title = f"windows by verdict, tolerance {tolerance:g}; what differs"
     columns = ("stream", "steps", "identical", "within", "diverged", "off by", "contacts", "pixels")
     table = _table(title, columns)
@@ -100,8 +100,8 @@ def by_stream(streams: Sequence[list[Window]], tolerance: float) -> Table:
     return table
 
 
-def by_window(windows: Sequence[Window]) -> Table:
-    """A row for each of the first windows, which are not identical."""
+def window_table(windows: Sequence[ReplayWindow]) -> Table:
+    """One row for each of the first `SHOWN` windows, all of which differ."""
     title = f"windows that are not identical ({min(len(windows), SHOWN)} of {len(windows)}), from which step on"
     columns = ("segment", "differs", "diverges", "worst", "off by", "contacts", "pixels")
     table = _table(title, columns)
@@ -116,5 +116,5 @@ def by_window(windows: Sequence[Window]) -> Table:
     return table
 
 
-def _error(window: Window) -> float:
+def _error(window: ReplayWindow) -> float:
     return max(window.state_error.values(), default=0.0)

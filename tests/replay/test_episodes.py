@@ -24,8 +24,8 @@ from gym_open.evaluate.proof import task_free_proof
 from gym_open.evaluate.scores import Episodes, summarise
 from gym_open.evaluate.verify import verify_scores
 from gym_open.files import sha256_file
-from gym_open.formats.episodes import replay_puzzle
 from gym_open.formats.scores import EPISODES, RECORD, read_episodes, read_scores
+from gym_open.replay.episodes import replay_puzzle
 
 Forge = Callable[[Callable[[Path], None]], Path]
 
@@ -117,7 +117,7 @@ def test_an_id_that_the_scores_do_not_hold_is_named(
 def test_another_reward_is_found_at_its_step(forge: Forge) -> None:
     length = len(witness_of("avoidance/017").actions)
     folder = forge(in_row(17, rewards=[1.0] + [0.0] * (length - 1)))
-    with pytest.raises(ArtefactError, match=r"avoidance/017: step 1: reward 1\.0 was recorded, 0\.0 is paid"):
+    with pytest.raises(ArtefactError, match=r"avoidance/017: step 1: reward 1\.0 was recorded, the replay gave 0\.0"):
         replay_puzzle(folder, "avoidance/017")
     assert replay_puzzle(folder, "avoidance/018").terminated  # the others are as they were
 
@@ -125,7 +125,9 @@ def test_another_reward_is_found_at_its_step(forge: Forge) -> None:
 def test_another_action_is_found(forge: Forge) -> None:
     actions = list(witness_of("avoidance/017").actions)
     actions[-1] = 0  # to stand still before the goal earns nothing
-    with pytest.raises(ArtefactError, match=f"avoidance/017: step {len(actions)}: reward 1.0 was recorded, 0.0 is pai"):
+    with pytest.raises(
+        ArtefactError, match=f"avoidance/017: step {len(actions)}: reward 1.0 was recorded, the replay gave 0.0"
+    ):
         replay_puzzle(forge(in_row(17, actions=actions)), "avoidance/017")
 
 
