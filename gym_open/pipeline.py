@@ -12,7 +12,6 @@ from typing import TypeVar
 
 import msgspec
 
-import gym_open
 from gym_open import artefacts, progress, workspace
 from gym_open.artefacts import Outcome
 from gym_open.collect.config import CollectConfig
@@ -33,6 +32,7 @@ from gym_open.summary import (
 )
 from gym_open.terminal import Voice, markup
 from gym_open.train.config import EncoderTrainConfig, PolicyTrainConfig, ProbeConfig
+from gym_open.version import __version__
 from gym_open.viz.config import VizConfig
 
 C = TypeVar("C", bound=Config)
@@ -290,7 +290,7 @@ def _begin(plan: Plan, root: Path, row: Sequence[Stage], voice: Voice) -> str:
         return ""
     if warning := outlook.too_full(root, work.bytes_written(plan.collect)):
         voice.console.print(f"[bold yellow]warning:[/] {markup(warning)}", highlight=False, soft_wrap=True)
-    found, left = f"gym-open {gym_open.__version__} on {outlook.found(row, root)}", outlook.to_do(row)
+    found, left = f"gym-open {__version__} on {outlook.found(row, root)}", outlook.to_do(row)
     if not left:
         voice.say(f"{found}: all {len(row)} stages seem to be up to date")
         return ""

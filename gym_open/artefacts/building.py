@@ -11,7 +11,6 @@ from typing import Any
 
 import msgspec
 
-import gym_open
 from gym_open.artefacts.checks import STRANGE, problems, verify, walk
 from gym_open.artefacts.records import (
     CONFIG,
@@ -28,6 +27,7 @@ from gym_open.artefacts.records import (
 from gym_open.config import Config, to_dict
 from gym_open.errors import ArtefactError, RefusedError, UsageError
 from gym_open.files import FULL, lock, sha256_file, unwritable, write_atomically
+from gym_open.version import __version__
 
 SCRATCH = "checkpoint"
 """Folder inside an unfinished artefact for whatever a resume needs; removed before sealing."""
@@ -50,11 +50,11 @@ class Outcome(msgspec.Struct, frozen=True):
 @functools.cache
 def code_version() -> str:
     """Version of gym-open and a digest of its source files, so that changed code is never taken for the same."""
-    root = Path(gym_open.__file__).parent
+    root = Path(__file__).parent.parent
     total = hashlib.sha256()
     for path in sorted([*root.rglob("*.py"), *root.rglob("*.jinja")]):
         total.update(f"{path.relative_to(root).as_posix()} {sha256_file(path)}\n".encode())
-    return f"{gym_open.__version__}+{total.hexdigest()[:12]}"
+    return f"{__version__}+{total.hexdigest()[:12]}"
 
 
 @functools.cache

@@ -13,7 +13,6 @@ from typing import Any, get_type_hints
 
 import tyro
 
-import gym_open
 from gym_open import extras
 from gym_open.cli import datasets, logs, results, stages, viz, world
 from gym_open.cli.base import Command, speaking
@@ -21,6 +20,7 @@ from gym_open.config import check, load
 from gym_open.envs.look.backend import check_backend
 from gym_open.errors import ConfigError, GymOpenError
 from gym_open.terminal import printable
+from gym_open.version import __version__
 
 COMMANDS: dict[str, type[Command]] = {
     "run": stages.Run,
@@ -89,7 +89,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         _overview()
         return 0
     if words[0] == "--version":
-        print(gym_open.__version__)
+        print(__version__)
         return 0
     name = next((" ".join(words[:n]) for n in (2, 1) if " ".join(words[:n]) in COMMANDS), None)
     if name is None:
@@ -154,7 +154,7 @@ def _value(words: Sequence[str], option: str) -> str | None:
 
 
 def _overview() -> None:
-    print(f"gym-open {gym_open.__version__}: play without a task, released as data, scored by what it was worth\n")
+    print(f"gym-open {__version__}: play without a task, released as data, scored by what it was worth\n")
     print("usage: gym-open COMMAND [options]      gym-open COMMAND --help shows its options and an example\n")
     for name, kind in COMMANDS.items():
         print(f"  {name:<15} {kind.about}")

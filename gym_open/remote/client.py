@@ -5,10 +5,10 @@ from typing import Any, TypeVar
 
 import grpc
 
-import gym_open
 from gym_open.errors import GymOpenError, UsageError
 from gym_open.remote import protocol as p
 from gym_open.remote.address import read_token, target
+from gym_open.version import __version__
 
 R = TypeVar("R", p.Opened, p.Done, p.Observed, p.Stepped)
 
@@ -37,7 +37,7 @@ class RemoteSession:
         self._call = self._channel.unary_unary(f"/{p.SERVICE}/{p.METHOD}")
         self._session = ""
         try:
-            opened = self._ask(p.Open(p.PROTOCOL, gym_open.__version__, debug), p.Opened)
+            opened = self._ask(p.Open(p.PROTOCOL, __version__, debug), p.Opened)
         except BaseException:
             self._channel.close()
             raise

@@ -19,11 +19,11 @@ from typing import Any, NoReturn, Self
 
 import grpc
 
-import gym_open
 from gym_open.errors import GymOpenError, UsageError
 from gym_open.remote import protocol as p
 from gym_open.remote.address import check_host, check_port, is_loopback, read_token, target
 from gym_open.remote.session import Session
+from gym_open.version import __version__
 
 CLIENTS = 4
 IDLE_S = 1800.0
@@ -58,9 +58,9 @@ class Sessions:
         Raises:
             UsageError: if it is of another version, or all places are taken.
         """
-        if (asked.protocol, asked.package) != (p.PROTOCOL, gym_open.__version__):
+        if (asked.protocol, asked.package) != (p.PROTOCOL, __version__):
             raise UsageError(
-                f"the server is gym-open {gym_open.__version__} with protocol {p.PROTOCOL}, the client {asked.package} "
+                f"the server is gym-open {__version__} with protocol {p.PROTOCOL}, the client {asked.package} "
                 f"with protocol {asked.protocol}: install the same version on both"
             )
         self.sweep()
