@@ -24,8 +24,8 @@ from rich.table import Table
 from gym_open.agents.config import EncoderConfig
 from gym_open.agents.encoder import Encoder
 from gym_open.envs import constants as c
-from gym_open.envs.look.raycast import Picture
-from gym_open.envs.look.scene import Scene
+from gym_open.envs.observation.raycast import Picture
+from gym_open.envs.observation.scene import Scene
 from gym_open.envs.options import CameraOptions, WorldOptions
 from gym_open.envs.physics.model import INVENTORY, build_model
 from gym_open.envs.puzzles import Placement, Puzzle, arranged

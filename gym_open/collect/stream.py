@@ -7,10 +7,10 @@ from gym_open.collect.config import LogConfig
 from gym_open.collect.pool import Pool
 from gym_open.envs.physics.contacts import Contact
 from gym_open.envs.physics.model import INVENTORY
+from gym_open.envs.stuck import Watch, position
 from gym_open.envs.world import World
 from gym_open.formats.logs import LogWriter, SegmentStart, StepRecord, Switch
 from gym_open.formats.logs.schemas import Stuck
-from gym_open.formats.stuck import Watch, position
 
 
 class Place(msgspec.Struct):

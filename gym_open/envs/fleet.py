@@ -12,8 +12,8 @@ from numba.np.numpy_support import carray
 
 from gym_open.envs import constants as c
 from gym_open.envs.jit import compiled
-from gym_open.envs.look.raycast import Camera, Picture, Shapes, Triangles
-from gym_open.envs.look.scene import Drawing, Parts, draw
+from gym_open.envs.observation.raycast import Camera, Picture, Shapes, Triangles
+from gym_open.envs.observation.scene import Drawing, Parts, draw
 from gym_open.envs.physics.native import address, pointer
 from gym_open.envs.physics.stepper import Plan, play, read_states
 from gym_open.envs.world import World

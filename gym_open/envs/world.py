@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from gym_open.envs import constants as c
-from gym_open.envs.look.scene import Drawing, Scene
+from gym_open.envs.observation.scene import Drawing, Scene
 from gym_open.envs.options import WorldOptions
 from gym_open.envs.physics import model as m
 from gym_open.envs.physics import scenery

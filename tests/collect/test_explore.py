@@ -15,12 +15,12 @@ from gym_open.collect.config import CollectConfig
 from gym_open.collect.explore import collect
 from gym_open.collect.tally import STUCK
 from gym_open.config import to_dict
+from gym_open.envs import stuck
 from gym_open.envs.constants import CELL_0, COLUMNS, PITCH, ROWS
 from gym_open.envs.options import WorldOptions
 from gym_open.envs.physics.model import build_model
 from gym_open.envs.world import World
 from gym_open.errors import ConfigError, DivergedError
-from gym_open.formats import stuck
 from gym_open.formats.logs import Log, Segment, log_files, open_log
 from gym_open.formats.models import load_encoder
 from gym_open.precision import native_precision

@@ -12,7 +12,7 @@ import trimesh
 from gym_open.envs import constants as c
 from gym_open.envs.look.backend import find_backend
 from gym_open.envs.look.gl import open_renderer
-from gym_open.envs.look.scene import Scene, model_camera
+from gym_open.envs.observation.scene import Scene, model_camera
 from gym_open.envs.options import CameraOptions, LightOptions, MeshObject, ObjectOptions, WorldOptions
 from gym_open.envs.puzzles import TASKS, Patch, Pen, Placement, Puzzle, arranged
 from gym_open.envs.puzzles.sets import test_puzzles as fixed_puzzles

@@ -13,8 +13,8 @@ from numba.core import config as numba_config
 
 from gym_open.envs import constants as c
 from gym_open.envs import jit
-from gym_open.envs.look.raycast import BOX, SPHERE, Camera, Shapes, Triangles, empty_picture, paint
-from gym_open.envs.look.scene import Parts, model_camera, place_parts
+from gym_open.envs.observation.raycast import BOX, SPHERE, Camera, Shapes, Triangles, empty_picture, paint
+from gym_open.envs.observation.scene import Parts, model_camera, place_parts
 from gym_open.envs.options import WorldOptions
 from gym_open.envs.physics.model import build_model
 from gym_open.envs.puzzles import SIDES, Patch, Pen, Placement, Puzzle, arranged

@@ -1,1 +1,1 @@
-"""The table as it is seen: ray caster for agents, MuJoCo's renderer for people."""
+"""The handsome look: figures of a world for people, drawn by `mujoco.Renderer`."""

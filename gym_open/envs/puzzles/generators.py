@@ -9,9 +9,31 @@ from collections.abc import Iterable
 import numpy as np
 
 from gym_open.config import Config, Count, Fraction, PositiveInt
-from gym_open.envs import puzzles
 from gym_open.envs.constants import CAPACITY, COLUMNS, ROWS
-from gym_open.envs.puzzles import Cell, Column, Kind, Patch, Pen, Placement, Puzzle, PuzzleError, Row, Side, Task
+from gym_open.envs.puzzles.puzzle import (
+    CORNERS,
+    CUBES,
+    GOALS,
+    KINDS,
+    SIDES,
+    STACK_HEIGHT,
+    Cell,
+    Column,
+    Kind,
+    Patch,
+    Pen,
+    Placement,
+    Puzzle,
+    PuzzleError,
+    Row,
+    Side,
+    Task,
+    arranged,
+    block,
+    footprint,
+    pen_wall_cells,
+    ramp_cells,
+)
 from gym_open.envs.puzzles.sets import reserved_digests
 
 ATTEMPTS = 200
@@ -25,7 +47,7 @@ LINES = ((0, 2), (0, 3), (1, 2), (1, 3), (1, 4), (1, 5))
 """Preferences: axis of the line (0 along a row, 1 along a column) and cells from the agent to either goal that fit."""
 
 
-COUNTED: tuple[Kind, ...] = tuple(kind for kind in puzzles.KINDS if kind != "agent")
+COUNTED: tuple[Kind, ...] = tuple(kind for kind in KINDS if kind != "agent")
 """Kinds that a sandbox world holds a number of."""
 
 
@@ -95,18 +117,18 @@ class _Layout:
     def place(self, kind: str, cell: Cell, *, turned: bool = False) -> Cell:
         item = Placement(kind, *cell, turned=turned)
         self.objects.append(item)
-        self.taken |= puzzles.footprint(item)
-        if kind in puzzles.CUBES:
+        self.taken |= footprint(item)
+        if kind in CUBES:
             self.cubes.add(cell)
         return cell
 
     def place_anywhere(self, kind: str) -> None:
-        if kind in puzzles.CUBES:
+        if kind in CUBES:
             self.place_cube(kind)
         elif kind == "rectangle":
             free = set(self.free())
             lying = [Placement(kind, *cell, turned=turned) for cell in INTERIOR for turned in (False, True)]
-            fits = [item for item in lying if puzzles.footprint(item) <= free]
+            fits = [item for item in lying if footprint(item) <= free]
             if not fits:
                 raise _NoRoomError
             item = fits[int(self.rng.integers(len(fits)))]
@@ -128,36 +150,36 @@ class _Layout:
 
     def place_patch(self) -> None:
         """Lay a danger patch on free cells, which then stay free."""
-        centres = [cell for cell in CENTRES if self.taken.isdisjoint(puzzles.block(*cell, 1))]
+        centres = [cell for cell in CENTRES if self.taken.isdisjoint(block(*cell, 1))]
         self.patch = Patch(*self.pick(centres))
-        self.taken |= puzzles.block(self.patch.row, self.patch.column, 1)
+        self.taken |= block(self.patch.row, self.patch.column, 1)
 
     def place_pen(self, agent: Cell | None = None) -> Cell:
         """Put up a pen with its ramp, the agent inside, around the agent if that has its cell already.
 
         The cell behind the ramp, where the agent lands, stays free.
         """
-        side = puzzles.Side.__args__[int(self.rng.integers(4))]
+        side = Side.__args__[int(self.rng.integers(4))]
         pens = [pen for pen in pens_around(agent, side) if self.taken.isdisjoint(_kept_free(pen))]
         if not pens:
             raise _NoRoomError
         self.pen = pen = pens[int(self.rng.integers(len(pens)))]
         self.taken |= _kept_free(pen)
-        return agent or self.place("agent", self.pick(self.free(sorted(puzzles.block(pen.row, pen.column, 1)))))
+        return agent or self.place("agent", self.pick(self.free(sorted(block(pen.row, pen.column, 1)))))
 
     def puzzle(self, task: Task) -> Puzzle:
-        return Puzzle(task=task, objects=puzzles.arranged(self.objects), pen=self.pen, patch=self.patch)
+        return Puzzle(task=task, objects=arranged(self.objects), pen=self.pen, patch=self.patch)
 
 
 def pens_around(agent: Cell | None, side: Side) -> list[Pen]:
     """The pens, with the ramp on this side, where the agent's cell (None: any) is inside and not under the ramp."""
     pens = [Pen(*centre, side) for centre in CENTRES]
-    return [p for p in pens if agent is None or agent in puzzles.block(p.row, p.column, 1) - puzzles.ramp_cells(p)]
+    return [p for p in pens if agent is None or agent in block(p.row, p.column, 1) - ramp_cells(p)]
 
 
 def _kept_free(pen: Pen) -> set[Cell]:
-    i, j = puzzles.SIDES[pen.ramp_side]
-    return puzzles.pen_wall_cells(pen) | puzzles.ramp_cells(pen) | {(pen.row + 3 * i, pen.column + 3 * j)}
+    i, j = SIDES[pen.ramp_side]
+    return pen_wall_cells(pen) | ramp_cells(pen) | {(pen.row + 3 * i, pen.column + 3 * j)}
 
 
 def _goal_seeking(layout: _Layout) -> None:
@@ -195,7 +217,7 @@ def _avoidance(layout: _Layout) -> None:
 def _tool_use(layout: _Layout) -> None:
     layout.place_pen()
     assert layout.pen
-    layout.taken |= puzzles.block(layout.pen.row, layout.pen.column, 1)
+    layout.taken |= block(layout.pen.row, layout.pen.column, 1)
     layout.place("yellow", layout.pick(layout.free()))
     layout.place_cubes(3, 6)
 
@@ -213,14 +235,14 @@ def _sandbox(layout: _Layout, config: SandboxConfig) -> None:
     if patched:
         layout.place_patch()
     counts["yellow"] -= len(config.yellow_cells)
-    for kind in puzzles.GOALS:
+    for kind in GOALS:
         for _ in range(counts.pop(kind)):
-            near = puzzles.block(*agent, config.radius)
+            near = block(*agent, config.radius)
             near = [cell for cell in layout.free() if cell in near and cell[0] != agent[0] and cell[1] != agent[1]]
             layout.place(kind, layout.pick(near))
     for name in config.meshes:
         layout.place_anywhere(f"mesh:{name}")
-    for kind in sorted(counts, key=lambda kind: kind in puzzles.CUBES):  # cubes, which keep apart, come last
+    for kind in sorted(counts, key=lambda kind: kind in CUBES):  # cubes, which keep apart, come last
         for _ in range(counts[kind]):
             layout.place_anywhere(kind)
 
@@ -280,9 +302,9 @@ def _check_sandbox(config: SandboxConfig) -> None:
             raise PuzzleError(f"sandbox.{kind}: expected smallest ≤ largest, got {(least, most)}; swap them")
         if kind in CAPACITY and most > CAPACITY[kind]:
             raise PuzzleError(f"sandbox.{kind}: at most {CAPACITY[kind]} fit the model, got {most}; ask for fewer")
-    lights = config.light[1] + puzzles.STACK_HEIGHT * config.stack[1]
+    lights = config.light[1] + STACK_HEIGHT * config.stack[1]
     if lights > CAPACITY["light"]:
-        asked = f"{config.stack[1]} stacks of {puzzles.STACK_HEIGHT} and {config.light[1]} more light cubes"
+        asked = f"{config.stack[1]} stacks of {STACK_HEIGHT} and {config.light[1]} more light cubes"
         raise PuzzleError(f"sandbox.stack: {asked}, but the model holds {CAPACITY['light']} light cubes")
     _check_cells(config)
 
@@ -295,9 +317,9 @@ def _check_cells(config: SandboxConfig) -> None:
     for cell in cells:
         if cells.count(cell) > 1:
             raise PuzzleError(f"sandbox.agent_cell and .yellow_cells: two objects on cell {cell}; give each its own")
-        if cell in puzzles.CORNERS:
+        if cell in CORNERS:
             raise PuzzleError(f"sandbox: cell {cell} is cut off by the table's corner; choose another")
-    if agent and config.pen_probability and not any(pens_around(agent, side) for side in puzzles.SIDES):
+    if agent and config.pen_probability and not any(pens_around(agent, side) for side in SIDES):
         rows, columns = (sorted({cell[k] for cell in CENTRES}) for k in (0, 1))
         inside = f"rows {rows[0] - 1} to {rows[-1] + 1}, columns {columns[0] - 1} to {columns[-1] + 1}"
         raise PuzzleError(f"sandbox.agent_cell: no pen has cell {agent} inside, only cells of {inside}")

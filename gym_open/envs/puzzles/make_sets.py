@@ -9,8 +9,8 @@ from pathlib import Path
 
 from gym_open import seeding
 from gym_open.artefacts import canonical_json
-from gym_open.envs.puzzles import TASKS
 from gym_open.envs.puzzles.generators import draw_layout
+from gym_open.envs.puzzles.puzzle import TASKS
 from gym_open.envs.puzzles.sets import DIGESTS, PER_SET, SPLITS, set_name
 
 SEED = 2021

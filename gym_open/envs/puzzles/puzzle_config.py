@@ -8,8 +8,8 @@ from msgspec import Meta
 
 from gym_open.config import Config, PositiveInt, decode
 from gym_open.envs.constants import CAPACITY
-from gym_open.envs.puzzles import STACK_HEIGHT, Column, Puzzle, PuzzleError, Row
 from gym_open.envs.puzzles.generators import SandboxConfig, sample_puzzle
+from gym_open.envs.puzzles.puzzle import STACK_HEIGHT, Column, Puzzle, PuzzleError, Row
 
 MOST_CUBES = CAPACITY["heavy"] + CAPACITY["light"]
 Cells = tuple[tuple[Row, Column], ...]

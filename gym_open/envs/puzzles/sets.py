@@ -8,7 +8,7 @@ from typing import Literal, get_args
 
 import msgspec
 
-from gym_open.envs.puzzles import TASKS, Puzzle, PuzzleError, Task
+from gym_open.envs.puzzles.puzzle import TASKS, Puzzle, PuzzleError, Task
 
 Split = Literal["test", "validation"]
 SPLITS: tuple[Split, ...] = get_args(Split)

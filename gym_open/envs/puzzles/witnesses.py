@@ -5,7 +5,7 @@ from collections.abc import Iterable
 
 import msgspec
 
-from gym_open.envs.puzzles import PuzzleError, Task
+from gym_open.envs.puzzles.puzzle import PuzzleError, Task
 from gym_open.envs.puzzles.sets import Split, data_file, locate, puzzle_id, puzzles_of
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from gym_open.envs.constants import CONTROL_DT_S
 from gym_open.envs.physics.contacts import Contact
 from gym_open.envs.puzzles import Puzzle
+from gym_open.envs.stuck import Stuck
 from gym_open.errors import ArtefactError
 
 FORMAT = "gym-open-log/2"
@@ -141,21 +142,6 @@ class Switch(msgspec.Struct, frozen=True):
     world_losses: list[float]
     """World-model loss of every world of the pool as it decided: infinite where none was visited yet, NaN without a
     model."""
-
-
-class Stuck(msgspec.Struct, frozen=True):
-    """The agent, or an object in a corner, cannot move any more, or can again. Nothing is reset because of it."""
-
-    step: int
-    """Steps that the stream had taken."""
-    segment: int
-    kind: Literal["agent", "corner"]
-    name: str
-    """Name of the object."""
-    began: bool
-    """Stuck from here on, or free again."""
-    position: tuple[float, float, float]
-    """Metres."""
 
 
 Record = SegmentStart | StepRecord | Switch | Stuck

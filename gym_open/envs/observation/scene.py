@@ -11,7 +11,7 @@ import numpy as np
 
 from gym_open.envs import constants as c
 from gym_open.envs.jit import compiled
-from gym_open.envs.look.raycast import (
+from gym_open.envs.observation.raycast import (
     BOX,
     MESH,
     SPHERE,

@@ -9,13 +9,13 @@ A *push* is an action other than the no-op, which lets no time pass.
 """
 
 import math
+from typing import Literal
 
 import msgspec
 import numpy as np
 
 from gym_open.envs.constants import RADIUS, RECTANGLE_LENGTH, WALL_X, WALL_Y
 from gym_open.envs.physics.model import INVENTORY, kind_of
-from gym_open.formats.logs.schemas import Stuck
 
 REACH_M = 0.02
 AGENT_PUSHES = 32
@@ -28,6 +28,22 @@ _LONGER = np.array([RECTANGLE_LENGTH / 2 - RADIUS if kind_of(name) == "rectangle
 """(objects,) metres by which half the length of an object is more than half its height."""
 _NEAR_X, _NEAR_Y = WALL_X - RADIUS - _GAP - _LONGER, WALL_Y - RADIUS - _GAP - _LONGER
 """(objects,) metres from the middle beyond which an object can be in a corner, however it lies."""
+
+
+class Stuck(msgspec.Struct, frozen=True):
+    """The agent, or an object in a corner, cannot move any more, or can move again. Nothing is reset because of it."""
+
+    step: int
+    """Steps that the stream had taken."""
+    segment: int
+    """Number of the segment within its stream."""
+    kind: Literal["agent", "corner"]
+    name: str
+    """Name of the object."""
+    began: bool
+    """True: stuck from here on. False: free again."""
+    position: tuple[float, float, float]
+    """Metres."""
 
 
 class Watch(msgspec.Struct):

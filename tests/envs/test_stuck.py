@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from gym_open.envs.constants import WALL_X, WALL_Y
 from gym_open.envs.physics.model import INVENTORY
 from gym_open.envs.puzzles import Placement, Puzzle
+from gym_open.envs.stuck import AGENT_PUSHES, CORNER_PUSHES, REACH_M, Watch, in_corner
 from gym_open.envs.world import World
-from gym_open.formats.stuck import AGENT_PUSHES, CORNER_PUSHES, REACH_M, Watch, in_corner
 
 RECTANGLE = INVENTORY.index("rectangle_0")
 

@@ -1,0 +1,1 @@
+"""The observation: a ray caster that draws a world from its compiled model."""

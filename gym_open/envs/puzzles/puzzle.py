@@ -1,0 +1,225 @@
+"""A puzzle is data: what lies on which cell of the table, and what is asked for."""
+
+import functools
+import hashlib
+import re
+from collections import Counter
+from typing import Annotated, Literal, get_args
+
+import msgspec
+from msgspec import Meta
+
+from gym_open.envs.constants import CAPACITY, COLUMNS, ROWS
+from gym_open.errors import GymOpenError
+
+Task = Literal["sandbox", "goal-seeking", "preferences", "avoidance", "tool-use"]
+Kind = Literal["agent", "yellow", "green", "heavy", "light", "push", "rectangle", "cone", "stack"]
+Side = Literal["north", "east", "south", "west"]
+Row = Annotated[int, Meta(ge=0, lt=ROWS)]
+Column = Annotated[int, Meta(ge=0, lt=COLUMNS)]
+Cell = tuple[int, int]
+
+TASKS: tuple[Task, ...] = ("goal-seeking", "preferences", "avoidance", "tool-use")
+"""The four evaluation tasks; the sandbox is no task."""
+KINDS: tuple[Kind, ...] = get_args(Kind)
+"""The built-in kinds; a mesh of the user's own is of kind `mesh:NAME`."""
+GOALS: tuple[Kind, ...] = ("yellow", "green")
+CUBES: tuple[Kind, ...] = ("heavy", "light", "stack")
+STACK_HEIGHT = 2
+"""Light cubes that a stack takes from the model's."""
+CORNERS = frozenset({(0, 0), (0, COLUMNS - 1), (ROWS - 1, 0), (ROWS - 1, COLUMNS - 1)})
+"""Cells that the table's corner pieces cut off."""
+_MESH = re.compile(r"mesh:[A-Za-z0-9][A-Za-z0-9_-]*")
+_NEEDS: dict[Task, tuple[Kind, ...]] = {
+    "sandbox": (),
+    "goal-seeking": ("yellow",),
+    "preferences": ("yellow", "green"),
+    "avoidance": ("yellow",),
+    "tool-use": ("yellow",),
+}
+SIDES: dict[Side, Cell] = {"north": (-1, 0), "east": (0, 1), "south": (1, 0), "west": (0, -1)}
+"""Step (row, column) towards each side; north is away from the camera."""
+
+
+_RANK: dict[str, int] = {kind: rank for rank, kind in enumerate(KINDS)}
+
+
+class PuzzleError(GymOpenError):
+    """A puzzle record is malformed or impossible, or no layout satisfies a request."""
+
+
+class Placement(msgspec.Struct, frozen=True, forbid_unknown_fields=True, order=True, omit_defaults=True):
+    """One object at the centre of one cell.
+
+    Raises:
+        PuzzleError: if there is no such kind, or something else than a rectangle is turned.
+    """
+
+    kind: str
+    """One of `KINDS`, or `mesh:NAME`."""
+    row: Row
+    column: Column
+    turned: bool = False
+    """Of a rectangle: its long side lies along the column (y), not along the row (x)."""
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS and not _MESH.fullmatch(self.kind):
+            known = f"{', '.join(KINDS)}, or 'mesh:' and a name of letters, digits, '-' and '_'"
+            raise PuzzleError(f"puzzle: no kind {self.kind!r}; the kinds are {known}")
+        if self.turned and self.kind != "rectangle":
+            raise PuzzleError(f"puzzle: {self.kind!r} is turned, but only a rectangle can be; leave `turned` out")
+
+
+class Pen(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A walled room of 3×3 cells, with a ramp inside that leads up to the wall of one side."""
+
+    row: Row
+    column: Column
+    ramp_side: Side
+
+
+class Patch(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A danger patch of 3×3 cells, painted on the table around its centre cell."""
+
+    row: Row
+    column: Column
+
+
+class Puzzle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A task and a layout.
+
+    Raises:
+        PuzzleError: if objects are unsorted, share a cell, stand in a wall or outnumber the model's, or a piece
+            sticks out of the table.
+    """
+
+    task: Task
+    objects: tuple[Placement, ...]
+    pen: Pen | None = None
+    patch: Patch | None = None
+
+    def __post_init__(self) -> None:
+        _check_types(self)
+        check_puzzle(self)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 in hex of the layout (not the task): what looks the same has the same digest."""
+        return _layout_digest(self.objects, self.pen, self.patch)
+
+    def to_json(self) -> bytes:
+        """Canonical JSON, without a line end."""
+        return msgspec.json.encode(self, order="sorted")
+
+    @classmethod
+    def from_json(cls, text: bytes | str) -> "Puzzle":
+        """Read what `to_json` wrote.
+
+        Raises:
+            PuzzleError: naming the field, what was expected and what came.
+        """
+        try:
+            return msgspec.json.decode(text, type=cls)
+        except (msgspec.ValidationError, msgspec.DecodeError) as error:
+            raise PuzzleError(f"not a puzzle: {error}; expected the JSON that Puzzle.to_json writes") from None
+
+
+_FIELDS = tuple[Task, tuple[Placement, ...], Pen | None, Patch | None]
+
+
+def arranged(objects: list[Placement]) -> tuple[Placement, ...]:
+    """The objects in canonical order: by kind (meshes last, by name), then row, then column."""
+    return tuple(sorted(objects, key=lambda item: (_RANK.get(item.kind, len(KINDS)), item)))
+
+
+def footprint(item: Placement) -> set[Cell]:
+    """The cells that an object takes: its own; of a rectangle also the two beside it along its long side."""
+    i, j = item.row, item.column
+    if item.kind != "rectangle":
+        return {(i, j)}
+    return {(i + k, j) if item.turned else (i, j + k) for k in (-1, 0, 1)}
+
+
+def bodies_used(objects: tuple[Placement, ...]) -> dict[str, int]:
+    """How many of the model's bodies of each kind the objects take: a stack is two light cubes."""
+    used = Counter(item.kind for item in objects)
+    used["light"] += STACK_HEIGHT * used.pop("stack", 0)
+    return dict(used)
+
+
+def block(row: int, column: int, reach: int) -> set[Cell]:
+    """The cells within `reach` rows and columns of a cell."""
+    span = range(-reach, reach + 1)
+    return {(row + i, column + j) for i in span for j in span}
+
+
+def pen_wall_cells(pen: Pen) -> set[Cell]:
+    """The ring of 16 cells that a pen's walls stand on."""
+    return block(pen.row, pen.column, 2) - block(pen.row, pen.column, 1)
+
+
+def ramp_cells(pen: Pen) -> set[Cell]:
+    """The two inner cells that a pen's ramp covers: the centre and its neighbour on the ramp's side."""
+    i, j = SIDES[pen.ramp_side]
+    return {(pen.row, pen.column), (pen.row + i, pen.column + j)}
+
+
+def check_puzzle(puzzle: Puzzle) -> None:
+    """Raise PuzzleError unless the layout can be built and holds what its task asks for."""
+    _check_objects(puzzle)
+    _check_pieces(puzzle)
+
+
+def _check_cells(objects: tuple[Placement, ...]) -> None:
+    holder: dict[Cell, str] = {}
+    for item in objects:
+        name = f"{item.kind!r} at {(item.row, item.column)}"
+        for cell in sorted(footprint(item)):
+            if not (0 <= cell[0] < ROWS and 0 <= cell[1] < COLUMNS) or cell in CORNERS:
+                raise PuzzleError(f"puzzle: {name} sticks out of the table, at cell {cell}")
+            if cell in holder:
+                raise PuzzleError(f"puzzle: two objects on cell {cell}, {holder[cell]} and {name}; move one")
+            holder[cell] = name
+
+
+def _check_types(puzzle: Puzzle) -> None:
+    """What is built in Python is held to the types and bounds that JSON is."""
+    fields = (puzzle.task, puzzle.objects, puzzle.pen, puzzle.patch)
+    try:
+        msgspec.convert(msgspec.to_builtins(fields), _FIELDS)
+    except (msgspec.ValidationError, TypeError) as error:
+        raise PuzzleError(f"puzzle: {error}; in the order task, objects, pen, patch") from None
+
+
+def _check_objects(puzzle: Puzzle) -> None:
+    _check_cells(puzzle.objects)
+    for kind, count in bodies_used(puzzle.objects).items():
+        if kind in CAPACITY and count > CAPACITY[kind]:
+            note = f" (a stack takes {STACK_HEIGHT})" if kind == "light" else ""
+            raise PuzzleError(f"puzzle: {count} objects of kind {kind!r}{note}, but the model holds {CAPACITY[kind]}")
+    if sum(item.kind == "agent" for item in puzzle.objects) != 1:
+        raise PuzzleError("puzzle: expected exactly one object of kind 'agent'")
+    for kind in _NEEDS[puzzle.task]:
+        if all(item.kind != kind for item in puzzle.objects):
+            raise PuzzleError(f"puzzle: task {puzzle.task!r} needs an object of kind {kind!r}")
+    if puzzle.objects != arranged(list(puzzle.objects)):
+        raise PuzzleError("puzzle: objects are not in canonical order; build them with puzzles.arranged")
+
+
+def _check_pieces(puzzle: Puzzle) -> None:
+    if puzzle.task == "avoidance" and puzzle.patch is None:
+        raise PuzzleError("puzzle: task 'avoidance' needs a patch")
+    if puzzle.task == "tool-use" and puzzle.pen is None:
+        raise PuzzleError("puzzle: task 'tool-use' needs a pen")
+    cells = {cell for item in puzzle.objects for cell in footprint(item)}
+    for name, piece, reach in (("pen", puzzle.pen, 2), ("patch", puzzle.patch, 1)):
+        if piece and not (reach <= piece.row < ROWS - reach and reach <= piece.column < COLUMNS - reach):
+            raise PuzzleError(f"puzzle: {name} around cell {(piece.row, piece.column)} sticks out of the table")
+    if puzzle.pen and (blocked := (pen_wall_cells(puzzle.pen) | ramp_cells(puzzle.pen)) & cells):
+        raise PuzzleError(f"puzzle: objects on cells {sorted(blocked)}, where the pen's wall or ramp stands")
+
+
+@functools.lru_cache(maxsize=4096)
+def _layout_digest(objects: tuple[Placement, ...], pen: Pen | None, patch: Patch | None) -> str:
+    layout = {"objects": objects, "pen": pen, "patch": patch}
+    return hashlib.sha256(msgspec.json.encode(layout, order="sorted")).hexdigest()
