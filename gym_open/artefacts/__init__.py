@@ -12,8 +12,9 @@ inputs give the same digest in any folder. It is written in a hidden sibling fol
 A release may have a signature.json beside them: it signs the manifest, so it cannot be in it.
 """
 
-from gym_open.artefacts.building import RECORDED_PACKAGES, SCRATCH, Outcome, build, code_version, is_up_to_date
+from gym_open.artefacts.building import RECORDED_PACKAGES, SCRATCH, Outcome, build, is_up_to_date
 from gym_open.artefacts.checks import MAX_SIGNATURE_BYTES, Problem, problems, verify
+from gym_open.artefacts.code import code_version
 from gym_open.artefacts.records import (
     CONFIG,
     LINEAGE,

@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 
 from gym_open.artefacts.checks import STRANGE, problems, verify, walk
+from gym_open.artefacts.code import code_version
 from gym_open.artefacts.records import (
     CONFIG,
     LINEAGE,
@@ -27,7 +28,6 @@ from gym_open.artefacts.records import (
 from gym_open.config import Config, to_dict
 from gym_open.errors import ArtefactError, RefusedError, UsageError
 from gym_open.files import FULL, lock, sha256_file, unwritable, write_atomically
-from gym_open.version import __version__
 
 SCRATCH = "checkpoint"
 """Folder inside an unfinished artefact for whatever a resume needs; removed before sealing."""
@@ -45,16 +45,6 @@ class Outcome(msgspec.Struct, frozen=True):
     """Made now, or found up to date."""
     earlier: Path | None = None
     """Where an artefact of other inputs, which stood at `path` before, was put aside."""
-
-
-@functools.cache
-def code_version() -> str:
-    """Version of gym-open and a digest of its source files, so that changed code is never taken for the same."""
-    root = Path(__file__).parent.parent
-    total = hashlib.sha256()
-    for path in sorted([*root.rglob("*.py"), *root.rglob("*.jinja")]):
-        total.update(f"{path.relative_to(root).as_posix()} {sha256_file(path)}\n".encode())
-    return f"{__version__}+{total.hexdigest()[:12]}"
 
 
 @functools.cache
@@ -117,7 +107,9 @@ def build(
                 if error.errno in FULL:
                     raise unwritable(Path(error.filename or partial), error) from error
                 raise
-            record = Lineage(kind=kind, key=key, code=code_version(), packages=_packages(), facts=facts, parents=inputs)
+            record = Lineage(
+                kind=kind, key=key, code=code_version(kind), packages=_packages(), facts=facts, parents=inputs
+            )
             _seal(partial, config, record)
         earlier = _set_aside(out) if out.exists() else None
         partial.rename(out)
@@ -152,7 +144,7 @@ def is_up_to_date(out: Path, *, kind: str, config: Config, parents: Sequence[Pat
 
 
 def _key(kind: str, config: Config, parents: Sequence[str]) -> str:
-    value = [kind, to_dict(config), parents, code_version()]
+    value = [kind, to_dict(config), parents, code_version(kind)]
     return hashlib.sha256(canonical_json(value)).hexdigest()
 
 

@@ -124,7 +124,7 @@ class Exploration:
 
     def _writer(self, stream: int, messages: int) -> LogWriter:
         packages = {name: metadata.version(name) for name in ("mcap", "mujoco", "numba", "numpy", "torch")}
-        provenance = {"code": artefacts.code_version(), "seed": str(self.config.seed), **packages}
+        provenance = {"code": artefacts.code_version("log"), "seed": str(self.config.seed), **packages}
         head = LogHead(
             stream, to_dict(self.config), self.pool.puzzles, provenance, model_xml(),
             reward_parts=self.explorer.reward_parts, keyframe_every=self.config.log.keyframe_every,

@@ -183,7 +183,7 @@ def write_log(folder: Path, config: HumanConfig, puzzles: tuple[Puzzle, ...], ro
         ArtefactError: if a round does not end as it did (another machine, or changed packages).
     """
     packages = {name: metadata.version(name) for name in ("mcap", "mujoco", "numba", "numpy")}
-    provenance = {"code": artefacts.code_version(), "player": config.player, **packages}
+    provenance = {"code": artefacts.code_version("scores"), "player": config.player, **packages}
     unknown = [np.inf] * len(puzzles)
     world, step = World(), 0
     with LogWriter(folder, LogHead(0, to_dict(config), puzzles, provenance, model_xml())) as log:
@@ -238,8 +238,8 @@ def write_scores(
     )
     record = Scores(
         task=config.task, split=config.split, agent="human", seed=None, evaluation_seed=None, trained=0,
-        actions="keyboard", policy=None, proof=human_proof(), code=artefacts.code_version(), hardware=hardware(1),
-        **scores.summarise(episodes),
+        actions="keyboard", policy=None, proof=human_proof(), code=artefacts.code_version("scores"),
+        hardware=hardware(1), **scores.summarise(episodes),
     )  # fmt: skip
     scores.write_scores(folder, record, {"player": config.player, "picture": config.picture})
     scores.write_episodes(folder, ids, puzzles, episodes)

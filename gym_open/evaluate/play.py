@@ -159,7 +159,7 @@ def _write(
     record = Scores(
         task=config.task,
         split=config.split,
-        code=artefacts.code_version(),
+        code=artefacts.code_version("scores"),
         hardware=hardware(threads),
         **player._asdict(),
         **summarise(episodes),

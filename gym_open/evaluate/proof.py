@@ -79,7 +79,7 @@ def task_free_proof(policy: Parent | None, *, evaluator: str | None = None) -> P
         policy: records of a policy's folder, or the parent in the lineage of its scores: they are the same.
         evaluator: version of the code that scored it; by default this one.
     """
-    evaluator = evaluator or code_version()
+    evaluator = evaluator or code_version("scores")
     if policy is None:
         return Proof(verdict="no encoder", reasons=["nothing was learned at all"], chain=[])
     reasons: list[str] = []

@@ -42,9 +42,9 @@ def to_do(stages: Sequence[Stage]) -> list[Stage]:
 
 def _seems_made(stage: Stage) -> bool:
     try:
-        same_code = artefacts.lineage(stage.folder).code == artefacts.code_version()
+        made = artefacts.lineage(stage.folder)
         config = msgspec.json.decode(msgspec.json.encode(stage.config))  # as it is on disk: lists, no tuples
-        return same_code and artefacts.config_of(stage.folder) == config
+        return made.code == artefacts.code_version(made.kind) and artefacts.config_of(stage.folder) == config
     except ArtefactError:
         return False
 

@@ -75,7 +75,7 @@ def test_the_log_says_how_it_was_made(tiny: CollectConfig, logs: list[Log]) -> N
         asked["explorer"]["ppo"]["precision"] = native_precision()  # in place of `auto`
         assert log.config == json.loads(artefacts.canonical_json(asked))
         assert log.provenance["seed"] == "3"
-        assert log.provenance["code"] == artefacts.code_version()
+        assert log.provenance["code"] == artefacts.code_version("log")
         assert "<mujoco" in log.model_xml
         assert log.reward_parts == ("impact",)
 

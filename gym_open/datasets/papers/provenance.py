@@ -53,7 +53,7 @@ def statement(folder: Path, config: Header, parents: Sequence[Path], command: st
                 "resolvedDependencies": [_dependency(i, parent) for i, parent in enumerate(parents)],
             },
             "runDetails": {
-                "builder": {"id": _BUILDER, "version": {"gym-open": artefacts.code_version(), **_packages()}},
+                "builder": {"id": _BUILDER, "version": {"gym-open": artefacts.code_version("release"), **_packages()}},
                 **({"metadata": {"finishedOn": f"{config.published}T00:00:00Z"}} if config.published else {}),
             },
         },

@@ -30,7 +30,7 @@ def check_texts(release: Release, findings: Findings) -> str:
     left = _WITH_PARENTS if any(parent.lineage.kind == "release" for parent in lineage.parents) else ()
     names = expected.keys() | {name for name in said if name.startswith("rebuild/")}
     wrong = sorted(name for name in names - set(left) if said.get(name) != expected.get(name))
-    if wrong and lineage.code == artefacts.code_version():
+    if wrong and lineage.code == artefacts.code_version("release"):
         for name in wrong:
             findings.add(name, "not what this version of gym-open writes of this release, and says that it wrote")
     words = (
