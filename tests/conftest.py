@@ -62,7 +62,7 @@ def write_log(folder: Path, recipe: LogRecipe) -> dict[str, Any]:
     from gym_open.envs.physics.contacts import Contact
     from gym_open.envs.physics.model import INVENTORY
     from gym_open.envs.puzzles.generators import sample_puzzle
-    from gym_open.formats.logs import LogHead, LogWriter, SegmentStart, StepRecord, Switch
+    from gym_open.formats.logs import LogHead, LogWriter, SegmentStart, StepMetrics, StepRecord, Switch
 
     rng = np.random.default_rng(recipe.seed)
     puzzles = tuple(sample_puzzle("sandbox", rng) for _ in range(3))
@@ -102,9 +102,8 @@ def write_log(folder: Path, recipe: LogRecipe) -> dict[str, Any]:
                     action = int(rng.integers(9))
                     seen = (state(), picture())
                     parts = tuple(float(step + number) for number in range(len(recipe.reward_parts)))
-                    log.step(
-                        StepRecord(step, index, i, action, seen[0], contacts, r, loss, entropy, value, seen[1], parts)
-                    )
+                    metrics = StepMetrics(r, loss, entropy, value, parts)
+                    log.step(StepRecord(step, index, i, action, seen[0], contacts, seen[1], metrics))
                     step += 1
                 target = -1 if last else (index + 1) % 3
                 losses = [0.5, np.inf, 0.25] if recipe.world_model else [np.nan] * 3

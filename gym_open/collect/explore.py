@@ -23,14 +23,14 @@ from gym_open.collect.config import CollectConfig
 from gym_open.collect.curriculum import RULES, Situation, smoothed
 from gym_open.collect.figure import draw_summary
 from gym_open.collect.pool import Pool, sample_pool
-from gym_open.collect.stream import Figures, Place, Played, Stream
+from gym_open.collect.stream import Place, PlayedStep, Stream
 from gym_open.collect.summary import Record, SegmentRecord, summarise
 from gym_open.config import to_dict
 from gym_open.envs.constants import IMAGE_SIZE, N_ACTIONS
 from gym_open.envs.physics.model import model_xml
 from gym_open.errors import ConfigError, DivergedError
 from gym_open.files import write_atomically
-from gym_open.formats.logs import LogHead, LogWriter, Switch
+from gym_open.formats.logs import LogHead, LogWriter, StepMetrics, Switch
 from gym_open.formats.logs.resume import resume_writer
 from gym_open.formats.logs.schemas import Ended
 from gym_open.formats.models import save_encoder
@@ -178,7 +178,7 @@ class Exploration:
         self.record.steps += length * self.config.streams
         learned = self.explorer.learn(torch.from_numpy(images), acted)
         losses = [self._world_loss(stream, images[:, stream.index], played) for stream in self.streams]
-        self._log(images, acted, played, learned, losses)
+        self._log(acted, played, learned, losses)
         entropy = float(torch.stack([one.entropy for one in acted[:-1]]).mean())
         scale = self.explorer.model.loss_scale if self.explorer.model else math.nan
         self.record.curve.append(
@@ -188,40 +188,38 @@ class Exploration:
             )
         )  # fmt: skip
 
-    def _play(self, length: int) -> tuple[np.ndarray, list[Acted], list[list[Played]]]:
+    def _play(self, length: int) -> tuple[np.ndarray, list[Acted], list[list[PlayedStep]]]:
         """Act in all streams side by side: images (length + 1, streams, 84, 84, 3), what was thought of each, steps."""
         images = np.empty((length + 1, self.config.streams, *IMAGE_SHAPE), np.uint8)
         for stream in self.streams:
             stream.look(images[0, stream.index])
         acted = [self.explorer.act(torch.from_numpy(images[0]))]
-        played: list[list[Played]] = []
+        played: list[list[PlayedStep]] = []
         for now in images[1:]:
             actions: list[int] = acted[-1].actions.tolist()
             played.append([one.play(action, now[one.index]) for one, action in zip(self.streams, actions, strict=True)])
             acted.append(self.explorer.act(torch.from_numpy(now)))
         return images, acted, played
 
-    def _world_loss(self, stream: Stream, images: np.ndarray, played: list[list[Played]]) -> float:
+    def _world_loss(self, stream: Stream, images: np.ndarray, played: list[list[PlayedStep]]) -> float:
         """Measure the loss of the world that a stream is in, after what was played there; not a number for no model."""
         place = stream.place
         if not self.explorer.learns:
             return math.nan
-        actions = np.array([now[stream.index].action for now in played], dtype=np.int64)
+        actions = np.array([now[stream.index].step.action for now in played], dtype=np.int64)
         self.pool.see(place.world, images[:-1], actions, images[1:])
         loss = self.pool.loss(place.world, self.explorer, self.record.rollouts)
         place.recent = [*place.recent, loss][-self.config.curriculum.window :]
         return loss
 
-    def _log(
-        self, images: np.ndarray, acted: list[Acted], played: list[list[Played]], learned: Learned, losses: list[float]
-    ) -> None:
+    def _log(self, acted: list[Acted], played: list[list[PlayedStep]], learned: Learned, losses: list[float]) -> None:
         rewards, parts = learned.reward.tolist(), learned.parts.tolist()
         entropy, values = [one.entropy.tolist() for one in acted], [one.values.tolist() for one in acted]
         for stream, loss in zip(self.streams, losses, strict=True):
             n = stream.index
             for t in range(len(played)):
-                figures = Figures(rewards[t][n], tuple(parts[t][n]), loss, entropy[t][n], values[t][n])
-                stream.record(played[t][n], figures, images[t + 1, n])
+                metrics = StepMetrics(rewards[t][n], loss, entropy[t][n], values[t][n], tuple(parts[t][n]))
+                stream.record(played[t][n], metrics)
             stream.log.flush()
 
     def _decide(self) -> None:

@@ -9,7 +9,7 @@ from gym_open.envs.physics.contacts import Contact
 from gym_open.envs.physics.model import INVENTORY
 from gym_open.envs.stuck import Watch, position
 from gym_open.envs.world import World
-from gym_open.formats.logs import LogWriter, SegmentStart, StepRecord, Switch
+from gym_open.formats.logs import LogWriter, SegmentStart, StepMetrics, StepRecord, Switch
 from gym_open.formats.logs.schemas import Stuck
 
 
@@ -35,30 +35,15 @@ class Place(msgspec.Struct):
     """None while the stream is in no world."""
 
 
-class Played(msgspec.Struct, frozen=True, eq=False):
-    """All that is logged of one step but its image and what the explorer thought of it."""
+class PlayedStep(msgspec.Struct, frozen=True, eq=False):
+    """What a stream logs of one step."""
 
     keyframe: SegmentStart | None
-    """Where one is due before the step."""
-    step: int
-    segment_step: int
-    action: int
-    object_state: np.ndarray
-    contacts: tuple[Contact, ...]
-    depth: np.ndarray | None
-    segmentation: np.ndarray | None
+    """The keyframe before the step, if one is due."""
+    step: StepRecord
+    """Without the explorer's metrics, which are known after the rollout."""
     stuck: list[Stuck]
-    """What began or ceased to be stuck with it."""
-
-
-class Figures(msgspec.Struct, frozen=True):
-    """What the explorer thought of one step."""
-
-    intrinsic_reward: float
-    reward_parts: tuple[float, ...]
-    world_model_loss: float
-    policy_entropy: float
-    value: float
+    """What the step made stuck or free again."""
 
 
 class Stream:
@@ -72,7 +57,7 @@ class Stream:
         self._config = config
         self._world = World()
 
-    def play(self, action: int, image: np.ndarray) -> Played:
+    def play(self, action: int, image: np.ndarray) -> PlayedStep:
         """Take one action and draw what comes of it into `image`."""
         place = self.place
         due = place.segment_step > 0 and place.segment_step % self._config.keyframe_every == 0
@@ -83,10 +68,12 @@ class Stream:
         place.step += 1
         place.segment_step += 1
         stuck = self._count(states, outcome.contacts, pushed=action != 0)
-        return Played(
-            keyframe, place.step - 1, place.segment_step - 1, action, states, outcome.contacts, self._depth(),
-            self._segmentation(), stuck,
+        step = StepRecord(
+            step=place.step - 1, segment=place.segment, segment_step=place.segment_step - 1, action=action,
+            object_state=states, contacts=outcome.contacts, image=image, depth=self._depth(),
+            segmentation=self._segmentation(),
         )  # fmt: skip
+        return PlayedStep(keyframe, step, stuck)
 
     def _count(self, states: np.ndarray, contacts: tuple[Contact, ...], *, pushed: bool) -> list[Stuck]:
         watch, tally = self.place.watch, self._pool.tallies[self.place.world]
@@ -117,19 +104,11 @@ class Stream:
         """Draw the world as it stands into `image`."""
         self._world.observe(image)
 
-    def record(self, played: Played, figures: Figures, image: np.ndarray) -> None:
-        """Log one step and the image after it, (84, 84, 3)."""
+    def record(self, played: PlayedStep, metrics: StepMetrics) -> None:
+        """Log one step with what the explorer computed for it."""
         if played.keyframe is not None:
             self.log.segment(played.keyframe)
-        self.log.step(
-            StepRecord(
-                step=played.step, segment=self.place.segment, segment_step=played.segment_step, action=played.action,
-                object_state=played.object_state, contacts=played.contacts, image=image, depth=played.depth,
-                segmentation=played.segmentation, intrinsic_reward=figures.intrinsic_reward,
-                reward_parts=figures.reward_parts, world_model_loss=figures.world_model_loss,
-                policy_entropy=figures.policy_entropy, value=figures.value,
-            )
-        )  # fmt: skip
+        self.log.step(msgspec.structs.replace(played.step, metrics=metrics))
         for turn in played.stuck:
             self.log.stuck(turn)
 

@@ -39,7 +39,6 @@ SIDE = 672
 """Pixels of the window's edge at first."""
 PAUSE_S = 0.8
 """How long the end of a puzzle is shown."""
-_NAN = float("nan")
 HELP = """\
 Each press of a key is a move of one cell:
     Q W E        7 8 9
@@ -214,8 +213,7 @@ def _log_round(log: LogWriter, world: World, puzzle: Puzzle, one: Round, *, inde
         log.step(
             StepRecord(
                 step=first_step + i, segment=index, segment_step=i, action=action, object_state=world.object_state(),
-                contacts=outcome.contacts, intrinsic_reward=_NAN, world_model_loss=_NAN, policy_entropy=_NAN,
-                value=_NAN, image=world.observe(),
+                contacts=outcome.contacts, image=world.observe(),
             )
         )  # fmt: skip
     if (rewards, terminated) != (one.rewards, one.terminated):

@@ -52,11 +52,7 @@ def played(puzzle: Puzzle, actions: list[int], *, index: int = 0, first: int = 0
                 )
             )  # fmt: skip
         outcome = world.step(action)
-        made.append(
-            StepRecord(
-                first + i, index, i, action, world.object_state(), outcome.contacts, 0.0, 0.0, 0.0, 0.0, **seen(world)
-            )
-        )
+        made.append(StepRecord(first + i, index, i, action, world.object_state(), outcome.contacts, **seen(world)))
     made.append(Switch(first + len(actions), index, index + 1 if index == 0 else -1, "learned", [0.0, 0.0]))
     return made
 

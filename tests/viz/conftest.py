@@ -63,7 +63,7 @@ def _write(folder: Path) -> dict[str, Any]:
     """One stream, two worlds: the agent is stuck from step 32 on, gets free, goes east; depth and segmentation."""
     from gym_open.envs.physics.model import INVENTORY, model_xml
     from gym_open.envs.puzzles.generators import sample_puzzle
-    from gym_open.formats.logs import LogHead, LogWriter, SegmentStart, StepRecord, Stuck, Switch
+    from gym_open.formats.logs import LogHead, LogWriter, SegmentStart, StepMetrics, StepRecord, Stuck, Switch
 
     rng = np.random.default_rng(0)
     puzzles = tuple(sample_puzzle("sandbox", rng) for _ in range(2))
@@ -80,7 +80,7 @@ def _write(folder: Path) -> dict[str, Any]:
     config = {"explorer": {"world_model": "none"}, "curriculum": {"rule": "interval", "threshold": 0.5}}
     head = LogHead(0, config, puzzles, {"code": "test"}, model_xml(), (), 1000)
     with LogWriter(folder, head) as log:
-        step = 0
+        step, metrics = 0, StepMetrics(0.0, np.nan, 2.0, 0.5)
         for index, length in enumerate((STILL + AWAY, 3)):
             log.switch(Switch(step, index - 1, index, "interval" if index else "start", [np.nan] * 2))
             picture = {"integration_state": np.zeros(5), "image": image, **seen(step)}
@@ -88,7 +88,7 @@ def _write(folder: Path) -> dict[str, Any]:
             for i in range(length):
                 state = state.copy()
                 state[0, 0] += 0.03 if index == 0 and i >= STILL else 0.0
-                log.step(StepRecord(step, index, i, 1, state, (), 0.0, np.nan, 2.0, 0.5, image, (), **seen(step + 1)))
+                log.step(StepRecord(step, index, i, 1, state, (), image, metrics, **seen(step + 1)))
                 step += 1
                 if index == 0 and i + 1 in (32, STILL + 1):
                     x, y, z = state[0, :3].tolist()

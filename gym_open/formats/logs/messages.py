@@ -32,6 +32,7 @@ from gym_open.formats.logs.schemas import (
     SWITCH,
     Record,
     SegmentStart,
+    StepMetrics,
     StepRecord,
     Stuck,
     Switch,
@@ -55,7 +56,7 @@ def messages_of(record: Record, reward_parts: tuple[str, ...] = ()) -> Iterator[
         case StepRecord():
             time = record.step * STEP_NS
             yield Logged(STEP, time, encode_step(record))
-            yield Logged(METRICS, time, encode_metrics(record, reward_parts, time))
+            yield Logged(METRICS, time, encode_metrics(record.metrics, reward_parts, time))
             yield from _pictures(record, time + STEP_NS)
         case Switch():
             time = record.step * STEP_NS
@@ -158,12 +159,12 @@ _CONTACT = struct.Struct("<7d")
 
 def encode_step(record: StepRecord) -> bytes:
     """`gym_open_msgs/msg/Step`, all of the record but its pictures."""
-    parts = record.reward_parts
+    metrics, parts = record.metrics, record.metrics.reward_parts
     state = np.ascontiguousarray(record.object_state, "<f8")
     message = bytearray(
         _step_head(len(parts)).pack(
-            ENCAPSULATION, record.step, record.segment, record.segment_step, record.action, record.intrinsic_reward,
-            record.world_model_loss, record.policy_entropy, record.value, len(parts), *parts, state.size,
+            ENCAPSULATION, record.step, record.segment, record.segment_step, record.action, metrics.intrinsic_reward,
+            metrics.world_model_loss, metrics.policy_entropy, metrics.value, len(parts), *parts, state.size,
         )
     )  # fmt: skip
     message += state.data
@@ -197,13 +198,10 @@ def decode_step(
     data = CdrReader(message)
     step, segment, segment_step, action = (data.integer(code) for code in "QIIB")
     reward, loss, entropy, value = data.vector(4)
-    parts = tuple(data.floats().tolist())
+    metrics = StepMetrics(reward, loss, entropy, value, tuple(data.floats().tolist()))
     state = data.floats().reshape(-1, STATE_WIDTH)
     contacts = tuple(_contact(data) for _ in range(data.integer("I")))
-    return StepRecord(
-        step, segment, segment_step, action, state, contacts, reward, loss, entropy, value, image, parts, depth,
-        segmentation,
-    )  # fmt: skip
+    return StepRecord(step, segment, segment_step, action, state, contacts, image, metrics, depth, segmentation)
 
 
 def _contact(data: CdrReader) -> Contact:
@@ -299,10 +297,10 @@ def decode_stuck(message: bytes) -> Stuck:
     return msgspec.convert({**fields, "position": data.vector(3)}, Stuck)
 
 
-def encode_metrics(record: StepRecord, reward_parts: tuple[str, ...], nanoseconds: int) -> bytes:
+def encode_metrics(metrics: StepMetrics, reward_parts: tuple[str, ...], nanoseconds: int) -> bytes:
     """`sensor_msgs/msg/JointState`: a step's figures and the named parts of its reward, which viewers plot."""
-    figures = (record.intrinsic_reward, record.world_model_loss, record.policy_entropy, record.value)
-    values = _metrics(4 + len(reward_parts)).pack(*figures, *record.reward_parts, 0, 0)
+    figures = (metrics.intrinsic_reward, metrics.world_model_loss, metrics.policy_entropy, metrics.value)
+    values = _metrics(4 + len(reward_parts)).pack(*figures, *metrics.reward_parts, 0, 0)
     return b"".join((_stamp(nanoseconds), _before_metrics(reward_parts), values))
 
 

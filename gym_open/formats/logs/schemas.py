@@ -3,6 +3,7 @@
 `messages` turns records into messages and back; docs/data-format.md has the layout of a file.
 """
 
+import math
 import re
 from typing import Any, Literal
 
@@ -71,7 +72,7 @@ class LogHead(msgspec.Struct, frozen=True):
     """Code version, package versions, seed."""
     model_xml: str
     reward_parts: tuple[str, ...] = ()
-    """Names of what the intrinsic reward is made of, as `StepRecord.reward_parts` has the numbers."""
+    """Names of the parts of the intrinsic reward; `StepMetrics.reward_parts` has their values."""
     keyframe_every: int = 256
     """Steps of a segment between two keyframes."""
 
@@ -103,8 +104,20 @@ class SegmentStart(msgspec.Struct, frozen=True, eq=False):
     """Shape (84, 84), int32: geom that each pixel shows, −1 for none; if recorded."""
 
 
+class StepMetrics(msgspec.Struct, frozen=True):
+    """What an explorer computed for one step; NaN where nothing computes it, as when a person plays."""
+
+    intrinsic_reward: float = math.nan
+    world_model_loss: float = math.nan
+    policy_entropy: float = math.nan
+    """Nats, of the policy that chose the action."""
+    value: float = math.nan
+    reward_parts: tuple[float, ...] = ()
+    """The parts of the intrinsic reward, in the order of `LogHead.reward_parts`."""
+
+
 class StepRecord(msgspec.Struct, frozen=True, eq=False):
-    """One action and what came of it."""
+    """One action and its result."""
 
     step: int
     """Number of the step within the stream."""
@@ -114,15 +127,9 @@ class StepRecord(msgspec.Struct, frozen=True, eq=False):
     object_state: np.ndarray
     """After the action, shape (objects, 13), float64."""
     contacts: tuple[Contact, ...]
-    intrinsic_reward: float
-    world_model_loss: float
-    policy_entropy: float
-    """Nats, of the policy that chose the action."""
-    value: float
     image: np.ndarray
     """Observation after the action, shape (84, 84, 3), uint8 RGB."""
-    reward_parts: tuple[float, ...] = ()
-    """What the intrinsic reward is made of, in the order of the log's names for them."""
+    metrics: StepMetrics = StepMetrics()
     depth: np.ndarray | None = None
     """As `SegmentStart.depth`, after the action."""
     segmentation: np.ndarray | None = None

@@ -138,17 +138,15 @@ class _Piece:
             )
         if step.action >= N_ACTIONS:
             raise ValueError(f"step {step.step} has the action {step.action}, expected 0 to {N_ACTIONS - 1}")
-        if len(step.reward_parts) != parts:
-            raise ValueError(
-                f"step {step.step} has {len(step.reward_parts)} parts of its reward, the log names {parts}"
-            )
+        if (found := len(step.metrics.reward_parts)) != parts:
+            raise ValueError(f"step {step.step} has {found} parts of its reward, the log names {parts}")
         self.steps.append(step)
 
     def lay_out(self, stream: int, parts: tuple[str, ...], ended: Ended | None) -> Segment:
         """Its records as arrays."""
         start, steps, shown = self.start, self.steps, [self.before, *self.steps]
         begins = bool(self.keyframes) and self.keyframes[0].segment_step == self.segment_step
-        rewards = np.array([step.reward_parts for step in steps], np.float64).reshape(len(steps), len(parts))
+        rewards = np.array([step.metrics.reward_parts for step in steps], np.float64).reshape(len(steps), len(parts))
         return Segment(
             stream=stream,
             index=start.index,
@@ -191,7 +189,7 @@ def _optional(pictures: list[np.ndarray | None], name: str) -> np.ndarray | None
 
 
 def _column(steps: list[StepRecord], name: str) -> np.ndarray:
-    return np.array([getattr(step, name) for step in steps], dtype=np.float64)
+    return np.array([getattr(step.metrics, name) for step in steps], dtype=np.float64)
 
 
 def segments(

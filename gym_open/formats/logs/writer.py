@@ -62,12 +62,10 @@ class LogWriter:
 
     def step(self, record: StepRecord) -> None:
         """Log an action at its beginning and the observation at its end."""
-        if len(record.reward_parts) != len(self._reward_parts):
+        found, expected = len(record.metrics.reward_parts), len(self._reward_parts)
+        if found != expected:
             names = ", ".join(self._reward_parts)
-            raise ValueError(
-                f"step {record.step}: expected {len(self._reward_parts)} reward parts ({names}), got "
-                f"{len(record.reward_parts)}"
-            )
+            raise ValueError(f"step {record.step}: expected {expected} reward parts ({names}), got {found}")
         self._put(record)
 
     def switch(self, switch: Switch) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from gym_open.envs.physics.contacts import Contact
 from gym_open.envs.puzzles import Placement, Puzzle, arranged
-from gym_open.formats.logs.schemas import Ended, LogHead, Record, SegmentStart, StepRecord, Stuck, Switch
+from gym_open.formats.logs.schemas import Ended, LogHead, Record, SegmentStart, StepMetrics, StepRecord, Stuck, Switch
 from gym_open.formats.logs.writer import LogWriter
 
 NAMES = ("agent", "yellow_0", "heavy_0")
@@ -55,8 +55,9 @@ class MadeUp:
                 )
                 state, seen = rng.normal(size=(len(NAMES), 13)), _seen(rng, pictures)
                 reward, loss, entropy, value, *parts = rng.normal(size=6).tolist()
-                made.append(StepRecord(step, index, i, int(rng.integers(9)), state, contacts, reward, loss, entropy,
-                                       value, reward_parts=tuple(parts), **seen))  # fmt: skip
+                metrics = StepMetrics(reward, loss, entropy, value, tuple(parts))
+                action = int(rng.integers(9))
+                made.append(StepRecord(step, index, i, action, state, contacts, metrics=metrics, **seen))
                 step += 1
                 if i == 1:
                     made.append(Stuck(step, index, "corner", "heavy_0", index == 0, (1.9, -1.9, 0.05)))

@@ -11,7 +11,7 @@ from mcap_ros2._dynamic import serialize_dynamic
 
 from gym_open.envs.physics.contacts import Contact
 from gym_open.formats.logs import messages, schemas
-from gym_open.formats.logs.schemas import Record, SegmentStart, StepRecord, Stuck, Switch
+from gym_open.formats.logs.schemas import Record, SegmentStart, StepMetrics, StepRecord, Stuck, Switch
 
 PARTS = ("forward", "inverse")
 
@@ -57,6 +57,10 @@ def pictures(record: SegmentStart | StepRecord, time: int) -> list[tuple[str, in
     return [(topic, time, picture(topic, pixels, encoding, time)) for topic, pixels, encoding in seen]
 
 
+def step_fields(record: StepRecord) -> dict[str, Any]:
+    return {**plain(record), **plain(record.metrics)}
+
+
 def expected(record: Record) -> list[tuple[str, int, bytes]]:
     """Topic, time and bytes of the messages of a record, by the ROS 2 library."""
     if isinstance(record, SegmentStart):
@@ -65,15 +69,16 @@ def expected(record: Record) -> list[tuple[str, int, bytes]]:
         return [(schemas.SEGMENT, time, foreign(schemas.SEGMENT, fields)), *pictures(record, time)]
     time = 40_000_000 * record.step
     if isinstance(record, StepRecord):
-        figures = [record.intrinsic_reward, record.world_model_loss, record.policy_entropy, record.value]
+        own = record.metrics
+        figures = [own.intrinsic_reward, own.world_model_loss, own.policy_entropy, own.value]
         names = ["intrinsic_reward", "world_model_loss", "policy_entropy", "value"]
         metrics = {
             "header": header(time),
             "name": [*names, "intrinsic_reward/forward", "intrinsic_reward/inverse"],
-            "position": [*figures, *record.reward_parts],
+            "position": [*figures, *own.reward_parts],
         }
         return [
-            (schemas.STEP, time, foreign(schemas.STEP, plain(record))),
+            (schemas.STEP, time, foreign(schemas.STEP, step_fields(record))),
             (schemas.METRICS, time, foreign(schemas.METRICS, metrics)),
             *pictures(record, time + 40_000_000),
         ]
@@ -108,9 +113,10 @@ def test_any_step_is_that_of_the_ros2_library_and_comes_back(
     """Names of any length: what follows them has to be aligned."""
     state = np.arange(13.0 * objects).reshape(objects, 13)
     image = np.zeros((84, 84, 3), np.uint8)
-    record = StepRecord(step, 1, 2, 3, state, tuple(contacts), 0.1, np.inf, 2.2, -1.0, image, tuple(parts))
+    metrics = StepMetrics(0.1, np.inf, 2.2, -1.0, tuple(parts))
+    record = StepRecord(step, 1, 2, 3, state, tuple(contacts), image, metrics)
     encoded = messages.encode_step(record)
-    assert encoded == foreign(schemas.STEP, plain(record))
+    assert encoded == foreign(schemas.STEP, step_fields(record))
     assert plain(messages.decode_step(encoded, image)) == plain(record)
 
 
@@ -166,7 +172,7 @@ def test_a_word_that_the_format_does_not_have_is_refused(topic: str, record: Swi
 def test_a_message_cut_anywhere_is_refused(cut: int) -> None:
     contact = Contact("agent", "yellow_0", (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 1.0)
     image = np.zeros((84, 84, 3), np.uint8)
-    whole = messages.encode_step(StepRecord(0, 0, 0, 1, np.zeros((1, 13)), (contact,), 0, 0, 0, 0, image))
+    whole = messages.encode_step(StepRecord(0, 0, 0, 1, np.zeros((1, 13)), (contact,), image))
     with pytest.raises(ValueError, match=r"ends at byte|expected little-endian CDR"):
         messages.decode_step(whole[:cut], image)
 

@@ -73,9 +73,9 @@ def test_segments_come_back_bit_for_bit(made_up: Any, whole: Path) -> None:
         assert segment.contacts == [step.contacts for step in steps]
         assert segment.actions.tolist() == [step.action for step in steps]
         for name in METRIC_NAMES:
-            np.testing.assert_array_equal(getattr(segment, name), [getattr(step, name) for step in steps])
+            np.testing.assert_array_equal(getattr(segment, name), [getattr(step.metrics, name) for step in steps])
         for i, name in enumerate(("forward", "inverse")):
-            assert segment.reward_parts[name].tolist() == [step.reward_parts[i] for step in steps]
+            assert segment.reward_parts[name].tolist() == [step.metrics.reward_parts[i] for step in steps]
         np.testing.assert_array_equal(segment.integration_state, frames[0].integration_state)
         assert [frame.segment_step for frame in segment.keyframes] == [frame.segment_step for frame in frames]
         for one, frame in zip(segment.keyframes, frames, strict=True):

@@ -20,7 +20,7 @@ from gym_open.formats.logs import writer as log_writer
 from gym_open.formats.logs.container import Logged, read_contents, whole_chunks
 from gym_open.formats.logs.messages import messages_of
 from gym_open.formats.logs.resume import resume_writer
-from gym_open.formats.logs.schemas import LogError, Record, SegmentStart, StepRecord
+from gym_open.formats.logs.schemas import LogError, Record, SegmentStart, StepMetrics, StepRecord
 from gym_open.formats.logs.writer import LogWriter
 from tests.children import until
 
@@ -147,7 +147,7 @@ def test_parts_of_a_reward_must_be_those_of_the_head(made_up: Any, tmp_path: Pat
         pytest.raises(ValueError, match=r"step 0: expected 2 reward parts \(forward, inverse\), got 1"),
         LogWriter(tmp_path, made_up.head) as writer,
     ):
-        writer.step(msgspec.structs.replace(step, reward_parts=(1.0,)))
+        writer.step(msgspec.structs.replace(step, metrics=StepMetrics(reward_parts=(1.0,))))
 
 
 class KilledError(Exception):

@@ -36,7 +36,7 @@ def test_a_log_without_an_agent_is_refused(tmp_path: Path) -> None:
     with LogWriter(tmp_path, LogHead(0, {}, (puzzle,), {}, "<mujoco/>", (), 10)) as log:
         log.switch(Switch(0, -1, 0, "start", [np.nan]))
         log.segment(SegmentStart(0, 0, 0, puzzle, False, ("heavy_0",), state, np.zeros(5), image))
-        log.step(StepRecord(0, 0, 0, 1, state, (), 0.0, 0.0, 0.0, 0.0, image, ()))
+        log.step(StepRecord(0, 0, 0, 1, state, (), image))
         log.switch(Switch(1, 0, -1, "budget", [np.nan]))
     with pytest.raises(ArtefactError, match="no agent among its objects"):
         logs.open_streams(tmp_path)

@@ -19,7 +19,7 @@ from mcap_ros2.decoder import DecoderFactory
 
 from gym_open.envs.physics.contacts import Contact
 from gym_open.envs.puzzles import Placement, Puzzle, arranged
-from gym_open.formats.logs.schemas import LogHead, SegmentStart, StepRecord, Stuck, Switch
+from gym_open.formats.logs.schemas import LogHead, SegmentStart, StepMetrics, StepRecord, Stuck, Switch
 from gym_open.formats.logs.writer import LogWriter
 
 NAMES = ("agent", "yellow_0", "heavy_0")
@@ -64,9 +64,9 @@ def _step(step: int, segment: int, segment_step: int) -> StepRecord:
     wall = Contact("heavy_0", "wall_east", (2.0, 0.1, 0.05), (1.0, 0.0, 0.0), 2.5)
     return StepRecord(
         step=step, segment=segment, segment_step=segment_step, action=(step + 3) % 9, object_state=_state(step + 1),
-        contacts=(contact, wall)[: step % 3], intrinsic_reward=step / 10,
-        world_model_loss=math.nan if step < 1 else 1e-3, policy_entropy=math.log(9), value=-step / 3,
-        reward_parts=(step / 7, -0.5), **_seen(step + 1),
+        contacts=(contact, wall)[: step % 3],
+        metrics=StepMetrics(step / 10, math.nan if step < 1 else 1e-3, math.log(9), -step / 3, (step / 7, -0.5)),
+        **_seen(step + 1),
     )  # fmt: skip
 
 
