@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-from rich.box import SIMPLE
 from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions
 from rich.measure import Measurement
@@ -15,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from gym_open import artefacts
-from gym_open.terminal import markup, printable
+from gym_open.terminal import markup, printable, titled_table
 
 PAPER_NOTE = "paper, goal-seeking, 1M steps: PPO from scratch .509, CURL+RIDE .532, human .584"
 
@@ -87,10 +86,8 @@ def score_table(scores: Mapping[str, Path]) -> Table:
     """One row an agent: A-Success with its 95% interval over the puzzles, mean return, mean actions, training steps."""
     first = read_json(next(iter(scores.values())) / "scores.json")
     title = f"{first['task']}: the same {first['puzzles']} {first['split']} puzzles for everyone"
-    table = Table(title=title, title_justify="left", box=SIMPLE, show_edge=False, collapse_padding=True, pad_edge=False)
-    table.add_column("agent")
-    for name in ("A-Success (95%)", "return", "actions", "trained"):
-        table.add_column(name, justify="right", no_wrap=True)
+    numbers = ("A-Success (95%)", "return", "actions", "trained")
+    table = titled_table(title, ("agent", *numbers), right=numbers, unbroken=numbers, compact=True)
     table.add_column(Name("task-free"), max_width=len("no encoder"))
     for name, path in scores.items():
         record = read_json(path / "scores.json")
@@ -111,11 +108,8 @@ def probe_table(path: Path) -> Table:
     rows = sorted(targets.items(), key=lambda row: ("error_cells" not in row[1]["scores"]["trained"], row[0]))
     features = [name for name in ("trained", "untrained", "pixels") if name in rows[0][1]["scores"]]
     title = "linear probe: R² if not said otherwise (error in cells)"
-    table = Table(title=title, title_justify="left", box=SIMPLE, show_edge=False, collapse_padding=True, pad_edge=False)
-    table.add_column("target", no_wrap=True)
-    table.add_column("gain (95%)", justify="right", no_wrap=True)
-    for name in (*features, "guess"):  # where there is no room, their errors go below their values
-        table.add_column(name, justify="right")
+    numbers = ("gain (95%)", *features, "guess")  # on a narrow terminal, errors go below their values
+    table = titled_table(title, ("target", *numbers), right=numbers, unbroken=("target", "gain (95%)"), compact=True)
     for target, row in rows:
         gain, measure = row["gain"], "" if row["measure"] == "r2" else f", {row['measure']}"
         table.add_row(
@@ -143,11 +137,7 @@ def proof_text(name: str, scores: Path) -> str:
 
 def stage_table(rows: list[tuple[str, str, str, str]]) -> Table:
     """One row a stage: name, what came of it, seconds, digest."""
-    table = Table(
-        title="stages", title_justify="left", box=SIMPLE, show_edge=False, collapse_padding=True, pad_edge=False
-    )
-    for name in ("stage", "result", "time", "digest"):
-        table.add_column(name, justify="right" if name == "time" else "left", overflow="fold")
+    table = titled_table("stages", ("stage", "result", "time", "digest"), right=("time",), compact=True)
     for row in rows:
         table.add_row(*row)
     return table

@@ -4,11 +4,13 @@ What comes from a file, a path or a person goes through `printable` or `markup`,
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
+from rich.box import SIMPLE
 from rich.console import Console
 from rich.markup import escape
+from rich.table import Table
 from rich.text import Text
 
 
@@ -22,6 +24,32 @@ def printable(text: str) -> str:
 def markup(text: str) -> str:
     """As `printable`, for rich: it finds no markup of its own in it."""
     return escape(printable(text))
+
+
+def titled_table(
+    title: str,
+    columns: Sequence[str],
+    *,
+    right: Collection[str] = (),
+    unbroken: Collection[str] = (),
+    compact: bool = False,
+) -> Table:
+    """An empty table with its title on the left; the title is shown as it is, without markup.
+
+    Args:
+        title: heading.
+        columns: names from left to right.
+        right: columns aligned on the right, such as numbers.
+        unbroken: columns whose cells stay on one line; text in the others is folded.
+        compact: with a single rule below the names, for narrow terminals.
+    """
+    made = Table(title=markup(title), title_justify="left")
+    if compact:
+        made.box, made.show_edge, made.pad_edge, made.collapse_padding = SIMPLE, False, False, True
+    for name in columns:
+        justify, no_wrap = "right" if name in right else "left", name in unbroken
+        made.add_column(name, justify=justify, no_wrap=no_wrap, overflow="fold")
+    return made
 
 
 class Voice:

@@ -1,22 +1,29 @@
 """The summary of a run as one picture."""
 
-import io
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from gym_open.collect.config import CurriculumConfig
-from gym_open.envs.constants import CELL_0, COLUMNS, PITCH, ROWS
+from gym_open.plots import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VERMILION,
+    draw_coverage,
+    draw_png,
+    finish,
+    write_in_middle,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-BLUE, SKY, ORANGE, VERMILION, GREEN, PURPLE, GREY = (
-    "#0072B2", "#56B4E9", "#E69F00", "#D55E00", "#009E73", "#CC79A7", "#777777",
-)  # fmt: skip
-"""Colours that colour-blind readers tell apart (Okabe and Ito)."""
 MOST_NUMBERED = 40
 """Worlds whose visits are written over their bars; of more, the numbers would run into one another."""
 STREAMS = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (PURPLE, ":"))
@@ -38,10 +45,11 @@ class Stay(NamedTuple):
 
 def draw_summary(summary: Mapping[str, Any], curriculum: CurriculumConfig) -> bytes:
     """PNG file of a run's summary (the contents of summary.json); equal summaries give equal bytes."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    formulas = {"text.parse_math": True}  # logarithmic axes write powers of ten as formulas
+    return draw_png(15, 9, lambda figure: _draw(figure, summary, curriculum), dpi=100, settings=formulas)
 
-    figure = Figure(figsize=(15, 9), dpi=100, layout="constrained")
+
+def _draw(figure: "Figure", summary: Mapping[str, Any], curriculum: CurriculumConfig) -> None:
     top, bottom = figure.subplots(2, 3)
     stays = list(_stays(summary["segments"]))
     _losses(top[0], summary["curve"], stays, curriculum)
@@ -53,19 +61,13 @@ def draw_summary(summary: Mapping[str, Any], curriculum: CurriculumConfig) -> by
     for axes in top:
         axes.set_xlim(0, summary["steps"])
     for axes in (*top, bottom[0], bottom[2]):
-        axes.grid(alpha=0.25, linewidth=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
-        if axes.get_legend_handles_labels()[0]:
-            axes.legend(frameon=False, fontsize=8)
+        finish(axes, fontsize=8, empty="")
     reasons = ", ".join(f"{count} {reason}" for reason, count in summary["reasons"].items())
     stuck = ", ".join(f"{kind} {counts['times']} times" for kind, counts in summary["stuck"].items())
     figure.suptitle(
         f"{summary['explorer']}, curriculum “{summary['rule']}”: {summary['steps']:,} steps, "
         f"{summary['switches']} switches\nstays ended by: {reasons}; stuck: {stuck}"
     )
-    out = io.BytesIO()
-    FigureCanvasAgg(figure).print_png(out, metadata={"Software": None})
-    return out.getvalue()
 
 
 def _stays(segments: list[dict[str, Any]]) -> Iterator[Stay]:
@@ -96,7 +98,7 @@ def _losses(axes: "Axes", curve: Mapping[str, Any], stays: list[Stay], curriculu
 def _log_scale(axes: "Axes", losses: np.ndarray, curriculum: CurriculumConfig) -> None:
     """Losses fall by orders of magnitude; the threshold is drawn where it decides."""
     if not (np.isfinite(losses) & (losses > 0)).any():
-        axes.text(0.5, 0.5, "no world model", transform=axes.transAxes, ha="center", color=GREY)
+        write_in_middle(axes, "no world model")
         axes.set_yticks([])
         return
     axes.set_yscale("log")
@@ -155,11 +157,8 @@ def _coverage(figure: "Figure", axes: "Axes", coverage: Mapping[str, Any]) -> No
 
     cells = np.array(coverage["cells"], dtype=np.float64)
     axes.set(title=f"Where the agent was: {coverage['share']:.0%} of the table", xlabel="x (m)", ylabel="y (m)")
-    west, north = CELL_0[0] - PITCH / 2, CELL_0[1] + PITCH / 2
-    extent = (west, west + COLUMNS * PITCH, north - ROWS * PITCH, north)
-    axes.patch.set(hatch="///", edgecolor=GREY)
-    shown = np.ma.masked_equal(cells, 0)
-    image = axes.imshow(shown, cmap="cividis", norm=LogNorm(1, max(cells.max(), 2)), extent=extent)
+    axes.spines[:].set_visible(True)
+    image = draw_coverage(axes, cells, LogNorm(1, max(cells.max(), 2)))
     bar = figure.colorbar(image, ax=axes, label="steps (hatched: never)", shrink=0.9)
     bar.ax.yaxis.set_major_formatter(LogFormatter())  # 10, not a power of it
     bar.ax.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1, 0.4)))

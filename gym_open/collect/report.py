@@ -9,6 +9,7 @@ from rich.console import Group
 from rich.table import Table
 
 from gym_open.errors import ArtefactError
+from gym_open.terminal import titled_table
 
 MOST_STAYS = 24
 """Stays that are listed; of a longer run, the last ones."""
@@ -30,7 +31,8 @@ def summary_table(log: Path) -> Group:
 
 def _worlds(summary: Mapping[str, Any]) -> Table:
     title = f"{summary['explorer']}, curriculum “{summary['rule']}”: {summary['steps']:,} steps, {summary['ended']}"
-    table = _table(title, "world", "visits", "steps", "final loss", "table seen", "agent stuck", "in corners")
+    columns = ("world", "visits", "steps", "final loss", "table seen", "agent stuck", "in corners")
+    table = titled_table(title, columns, right=columns)
     for row in summary["worlds"]:
         stuck, loss = row["stuck"], _loss(row["final_loss"], fresh=not row["visits"])
         table.add_row(
@@ -43,7 +45,8 @@ def _worlds(summary: Mapping[str, Any]) -> Table:
 def _stays(segments: list[dict[str, Any]]) -> Table:
     shown = segments[-MOST_STAYS:]
     title = "stays" if len(shown) == len(segments) else f"the last {len(shown)} of {len(segments)} stays"
-    table = _table(title, "stream", "world", "steps", "loss entered", "loss left", "ended by")
+    numbers = ("stream", "world", "steps", "loss entered", "loss left")
+    table = titled_table(title, (*numbers, "ended by"), right=numbers)
     for row in shown:
         entered, left = row["loss_at_entry"], row["loss_at_exit"]
         table.add_row(
@@ -54,9 +57,8 @@ def _stays(segments: list[dict[str, Any]]) -> Table:
 
 
 def _play(summary: Mapping[str, Any]) -> Table:
-    table = Table(title="play", title_justify="left", show_header=False)
-    table.add_column()
-    table.add_column(overflow="fold")
+    table = titled_table("play", ("", ""))
+    table.show_header = False
     coverage, stuck = summary["coverage"], summary["stuck"]
     reasons = ", ".join(f"{reason} {count}" for reason, count in summary["reasons"].items())
     touched = sorted(summary["touches"].items(), key=lambda item: -item[1])
@@ -69,13 +71,6 @@ def _play(summary: Mapping[str, Any]) -> Table:
     table.add_row("agent touched", touches or "nothing")
     table.add_row("agent stuck", f"{stuck['agent']['times']} times, {stuck['agent']['steps']:,} steps")
     table.add_row("objects in corners", f"{stuck['corner']['times']} times, {stuck['corner']['steps']:,} steps")
-    return table
-
-
-def _table(title: str, *columns: str) -> Table:
-    table = Table(title=title, title_justify="left")
-    for name in columns:
-        table.add_column(name, justify="left" if name == "ended by" else "right")
     return table
 
 

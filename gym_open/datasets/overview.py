@@ -16,7 +16,7 @@ from gym_open.formats.releases.content import payload_digest
 from gym_open.formats.releases.features import fps
 from gym_open.formats.releases.info import read_info
 from gym_open.formats.releases.layout import INFO_PATH, SPLITS
-from gym_open.terminal import markup
+from gym_open.terminal import markup, titled_table
 
 
 def info_tables(root: Path) -> list[Table]:
@@ -47,8 +47,8 @@ def list_table(folder: Path) -> Table:
     """
     if not folder.is_dir():
         raise ArtefactError(f"{folder}: no such folder; give one with releases below it")
-    table = _table(f"releases below {folder}", ["release"], ["frames", "episodes", "explorers", "MB"], ["digest"])
-    table.add_column("folder", overflow="fold")
+    numbers = ["frames", "episodes", "explorers", "MB"]
+    table = titled_table(f"releases below {folder}", ["release", *numbers, "digest", "folder"], right=numbers)
     table.box, table.pad_edge = box.SIMPLE_HEAD, False
     rows = [_row(root, folder) for root in _roots(folder)]
     for _, row in sorted(rows):
@@ -61,13 +61,6 @@ def _look(root: Path) -> Release:
     if (kind := artefacts.lineage(root).kind) != "release":
         raise ArtefactError(f"{root}: expected an artefact of kind 'release', got {kind!r}")
     return Release(root, found, read_info(root))
-
-
-def _table(title: str, left: list[str], right: list[str], last: list[str] | None = None) -> Table:
-    table = Table(title=markup(title), title_justify="left")
-    for name in (*left, *right, *(last or [])):
-        table.add_column(name, justify="right" if name in right else "left", overflow="fold")
-    return table
 
 
 def _facts(release: Release) -> Table:
@@ -98,7 +91,8 @@ def _facts(release: Release) -> Table:
 
 
 def _splits(release: Release) -> Table:
-    table = _table(f"splits, by {release.info['gym_open']['split_by']}", ["split"], ["episodes", "frames", "worlds"])
+    numbers = ["episodes", "frames", "worlds"]
+    table = titled_table(f"splits, by {release.info['gym_open']['split_by']}", ["split", *numbers], right=numbers)
     for split in SPLITS:
         rows = release.episodes[release.episodes["split"] == split]
         table.add_row(split, f"{len(rows):,}", f"{rows['length'].sum():,}", f"{rows['puzzle'].nunique():,}")
@@ -106,7 +100,8 @@ def _splits(release: Release) -> Table:
 
 
 def _explorers(release: Release) -> Table:
-    table = _table("explorers", ["explorer"], ["streams", "episodes", "frames", "worlds"], ["episodes ended by"])
+    numbers = ["streams", "episodes", "frames", "worlds"]
+    table = titled_table("explorers", ["explorer", *numbers, "episodes ended by"], right=numbers)
     for name, rows in release.episodes.groupby("explorer"):
         ended = ", ".join(f"{reason} {count}" for reason, count in sorted(Counter(rows["ended"]).items()))
         table.add_row(
@@ -117,7 +112,7 @@ def _explorers(release: Release) -> Table:
 
 
 def _features(release: Release) -> Table:
-    table = _table("features", ["feature", "type"], ["shape"])
+    table = titled_table("features", ["feature", "type", "shape"], right=["shape"])
     for name, feature in release.info["features"].items():
         table.add_row(markup(name), markup(feature["dtype"]), "×".join(map(str, feature["shape"])))
     return table

@@ -21,6 +21,7 @@ from gym_open.envs.puzzles.sets import (
 )
 from gym_open.envs.puzzles.witnesses import witness_name, witness_of, witnesses_of
 from gym_open.envs.world import World
+from gym_open.terminal import titled_table
 
 ARROWS = "·→↗↑↖←↙↓↘"
 """A sign for each action, north up."""
@@ -90,9 +91,8 @@ def verify() -> Table:
     published, actual = published_digests(), actual_digests()
     if wrong := [name for name, digest in published.items() if actual.get(name) != digest]:
         raise PuzzleError(f"puzzles/data/{wrong[0]}: missing, or not as in digests.json; reinstall gym-open")
-    table = Table(title="fixed puzzles", title_justify="left")
-    for name in ("set", "solved", "puzzles' SHA-256", "witnesses' SHA-256"):
-        table.add_column(name, no_wrap=True)
+    columns = ("set", "solved", "puzzles' SHA-256", "witnesses' SHA-256")
+    table = titled_table("fixed puzzles", columns, unbroken=columns)
     world = World()
     for task, split in itertools.product(TASKS, SPLITS):
         pairs = list(zip(puzzles_of(task, split), witnesses_of(task, split), strict=True))

@@ -11,7 +11,7 @@ from gym_open.errors import UsageError
 from gym_open.formats.logs.reader import Log, open_log, open_logs
 from gym_open.replay.logs import replay, same_model
 from gym_open.replay.player import VERDICTS, ReplayWindow, Verdict
-from gym_open.terminal import markup
+from gym_open.terminal import markup, titled_table
 
 SHOWN = 12
 """Greatest number of windows in the list."""
@@ -78,18 +78,11 @@ def worst_verdict(windows: Sequence[ReplayWindow]) -> Verdict:
     return VERDICTS[max((VERDICTS.index(window.verdict) for window in windows), default=0)]
 
 
-def _table(title: str, columns: Sequence[str]) -> Table:
-    table = Table(title=title, title_justify="left")
-    for name in columns:
-        table.add_column(name, justify="left" if name == "worst" else "right", overflow="fold")
-    return table
-
-
 def stream_table(streams: Sequence[list[ReplayWindow]], tolerance: float) -> Table:
     """One row per stream."""
     title = f"windows by verdict, tolerance {tolerance:g}; what differs"
     columns = ("stream", "steps", "identical", "within", "diverged", "off by", "contacts", "pixels")
-    table = _table(title, columns)
+    table = titled_table(title, columns, right=columns)
     for windows in filter(None, streams):
         counts = [sum(window.verdict == verdict for window in windows) for verdict in VERDICTS]
         table.add_row(
@@ -104,7 +97,7 @@ def window_table(windows: Sequence[ReplayWindow]) -> Table:
     """One row for each of the first `SHOWN` windows, all of which differ."""
     title = f"windows that are not identical ({min(len(windows), SHOWN)} of {len(windows)}), from which step on"
     columns = ("segment", "differs", "diverges", "worst", "off by", "contacts", "pixels")
-    table = _table(title, columns)
+    table = titled_table(title, columns, right=set(columns) - {"worst"})
     for window in windows[:SHOWN]:
         furthest = max(window.state_error, key=window.state_error.__getitem__, default="–")
         table.add_row(

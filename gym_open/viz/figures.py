@@ -9,20 +9,21 @@ import numpy as np
 
 from gym_open import artefacts
 from gym_open.errors import ArtefactError
+from gym_open.plots import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, draw_png, finish
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 ENCODER, SCRATCH, RANDOM, ORACLE, HUMAN = "from CURL encoder", "from scratch", "random", "oracle", "human"
 STYLES: dict[str, dict[str, Any]] = {
-    ENCODER: {"color": "#0072B2", "marker": "o", "linestyle": "-"},
-    SCRATCH: {"color": "#E69F00", "marker": "s", "linestyle": "--"},
-    RANDOM: {"color": "#777777", "marker": "^", "linestyle": ":"},
-    ORACLE: {"color": "#009E73", "marker": "D", "linestyle": "-."},
-    HUMAN: {"color": "#CC79A7", "marker": "v", "linestyle": "-"},
+    ENCODER: {"color": BLUE, "marker": "o", "linestyle": "-"},
+    SCRATCH: {"color": ORANGE, "marker": "s", "linestyle": "--"},
+    RANDOM: {"color": GREY, "marker": "^", "linestyle": ":"},
+    ORACLE: {"color": GREEN, "marker": "D", "linestyle": "-."},
+    HUMAN: {"color": PURPLE, "marker": "v", "linestyle": "-"},
 }
-"""Colours that colour-blind readers tell apart (Okabe and Ito), and a dash and a marker each for print."""
-LOSS, MEASURED, THRESHOLD, SWITCH = "#56B4E9", "#0072B2", "#D55E00", "#000000"
+"""Colour, marker and dash of each agent; dash and marker are for print."""
 
 
 def draw_run_figure(log: Path, others: Sequence[Path], save: Path) -> Path:
@@ -36,26 +37,21 @@ def draw_run_figure(log: Path, others: Sequence[Path], save: Path) -> Path:
     Raises:
         ArtefactError: if an artefact's summary, curve or scores are missing or not readable.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(15, 4.6), dpi=120, layout="constrained")
-    left, middle, right = figure.subplots(1, 3)
-    _exploration(left, log)
     policies = [path for path in others if artefacts.lineage(path).kind == "policy"]
     scores = [path for path in others if artefacts.lineage(path).kind == "scores"]
     task = next((artefacts.lineage(path).facts["task"] for path in [*policies, *scores]), "no task")
-    _fine_tuning(middle, policies, task)
-    _score(right, scores, task)
-    for axes in (left, middle, right):
-        axes.grid(alpha=0.25, linewidth=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
-        if axes.get_legend_handles_labels()[0]:
-            axes.legend(frameon=False, fontsize=9)
-        else:
-            axes.text(0.5, 0.5, "no data", transform=axes.transAxes, ha="center", color="#777777")
+
+    def paint(figure: "Figure") -> None:
+        left, middle, right = figure.subplots(1, 3)
+        _exploration(left, log)
+        _fine_tuning(middle, policies, task)
+        _score(right, scores, task)
+        for axes in (left, middle, right):
+            finish(axes)
+
+    png = draw_png(15, 4.6, paint, dpi=120)
     beside = save.with_name(f".{save.name}.tmp")
-    FigureCanvasAgg(figure).print_png(beside, metadata={"Software": None})
+    beside.write_bytes(png)
     return beside.replace(save)
 
 
@@ -66,17 +62,17 @@ def _exploration(axes: "Axes", log: Path) -> None:
     curve = _columns(summary["curve"])
     axes.set(title="Exploration in the sandbox, no reward", xlabel="steps of all streams", ylabel="loss, scaled")
     for name, style in {
-        "world_model_loss": {"color": LOSS, "label": "world model's loss in training"},
-        "world_loss": {"color": MEASURED, "linewidth": 1.8, "label": "of the worlds in play"},
+        "world_model_loss": {"color": SKY, "label": "world model's loss in training"},
+        "world_loss": {"color": BLUE, "linewidth": 1.8, "label": "of the worlds in play"},
     }.items():
         if np.isfinite(curve[name]).any():  # there is none without a world model
             axes.plot(curve["step"], curve[name], **style, marker="o" if len(curve["step"]) == 1 else "")
     if curriculum["rule"] == "loss" and curriculum["threshold"] > 0:
-        axes.axhline(curriculum["threshold"], color=THRESHOLD, linestyle="--", label="threshold: world learned")
+        axes.axhline(curriculum["threshold"], color=VERMILION, linestyle="--", label="threshold: world learned")
     if at := _switch_steps(summary["segments"]):
         label = f"switch of world ({len(at)})"
         floor = axes.get_xaxis_transform()
-        axes.plot(at, np.full(len(at), 0.02), "|", color=SWITCH, markersize=10, transform=floor, label=label)
+        axes.plot(at, np.full(len(at), 0.02), "|", color=BLACK, markersize=10, transform=floor, label=label)
     axes.set_yscale("log")  # the loss falls by a factor of 20 and is decided on near the threshold
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.5)))

@@ -72,15 +72,6 @@ def enlarged(picture: np.ndarray, size: int) -> np.ndarray:
     return np.asarray(Image.fromarray(picture).resize((size, size), Image.Resampling.NEAREST))
 
 
-def coverage_picture(counts: np.ndarray, size: int) -> np.ndarray:
-    """Counts of cells (rows, columns) as squares of `size` pixels, (H, W, 3) uint8: dark for none, on a log scale."""
-    from matplotlib import colormaps
-
-    share = np.log1p(counts) / max(np.log1p(counts.max()), 1.0)
-    cells = (255 * colormaps["viridis"](share)[..., :3]).astype(np.uint8)
-    return cells.repeat(size, axis=0).repeat(size, axis=1)
-
-
 def _write_mp4(path: Path, frames: Iterator[np.ndarray], fps: int) -> None:
     import av
 

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from gym_open.errors import UsageError
+from gym_open.plots import draw_png
 from gym_open.terminal import printable
-from gym_open.viz.charts import png
 from gym_open.viz.choice import Choice
 from gym_open.viz.config import VizConfig
 from gym_open.viz.film import check_suffix, write_whole
@@ -39,7 +39,7 @@ def write_still(config: VizConfig, sources: Sequence[Path], choice: Choice, out:
         UsageError: if `out` ends in something else, what was picked is not there, or there is no page of the sources.
     """
     check_suffix(out, (".png",))
-    picture = png(*_page(config, sources, choice))
+    picture = draw_png(*_page(config, sources, choice))
     return write_whole(out, lambda beside: beside.write_bytes(picture))
 
 

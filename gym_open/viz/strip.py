@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
+from gym_open.plots import VERMILION, plain_style, write_in_middle
 from gym_open.viz.film import PAPER
 
 if TYPE_CHECKING:
@@ -55,9 +56,9 @@ def draw_plot(axes: "Axes", plot: Plot, *, steps: bool = False) -> None:
                 markersize=3, drawstyle="steps-post" if steps else "default",
             )  # fmt: skip
     if plot.level is not None:
-        axes.axhline(plot.level, color="#D55E00", linestyle="--", linewidth=1.2, label="threshold")
+        axes.axhline(plot.level, color=VERMILION, linestyle="--", linewidth=1.2, label="threshold")
     if not there:
-        axes.text(0.5, 0.5, "no data", transform=axes.transAxes, ha="center", va="center", color="#777777")
+        write_in_middle(axes)
     if steps:
         axes.locator_params(axis="x", integer=True)
     if plot.counted:
@@ -85,11 +86,10 @@ class Strip:
             span: first and last step.
             label: of the axis of steps.
         """
-        from matplotlib import style
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
 
-        with style.context(["default", {"text.parse_math": False}]):
+        with plain_style():
             figure = Figure(
                 figsize=(width / _DPI, height * len(plots) / _DPI), dpi=_DPI, layout="constrained",
                 facecolor="#{:02x}{:02x}{:02x}".format(*PAPER),

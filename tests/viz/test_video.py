@@ -10,9 +10,10 @@ from PIL import Image
 
 from gym_open.errors import ArtefactError
 from gym_open.formats.logs import log_files, open_log
+from gym_open.plots import coverage_image
 from gym_open.viz.choice import Choice
 from gym_open.viz.config import VizConfig
-from gym_open.viz.film import coverage_picture, write_whole
+from gym_open.viz.film import write_whole
 from gym_open.viz.play.glance import glance
 from gym_open.viz.play.page import open_streams
 from gym_open.viz.strip import Curve, Plot, Strip
@@ -102,7 +103,7 @@ def test_the_cursor_is_where_the_step_is_drawn() -> None:
 
 
 def test_coverage_is_dark_where_the_agent_never_was() -> None:
-    picture = coverage_picture(np.array([[0, 1], [10, 0]]), 3)
+    picture = coverage_image(np.array([[0, 1], [10, 0]]), 3)
     assert picture.shape == (6, 6, 3)
     bright = picture.astype(int).sum(axis=2)[::3, ::3]
     assert bright[0, 0] == bright[1, 1] < bright[0, 1] < bright[1, 0]

@@ -18,7 +18,7 @@ from gym_open.datasets.compare.semver import RANK, Bump, Meaning, implied
 from gym_open.formats.releases import Release
 from gym_open.formats.releases.content import table_digest
 from gym_open.formats.releases.layout import BOOKKEEPING, CHANGELOG, STATS_PATH, TABLES, TASKS_PATH
-from gym_open.terminal import markup
+from gym_open.terminal import markup, titled_table
 
 How = Literal["added", "removed", "changed", "serialisation"]
 _NAMING = {"name", "version", "published", "license", "batches"}
@@ -165,14 +165,10 @@ def _file_meanings(a: Release, b: Release, files: list[FileChange], *, alone: bo
 def diff_tables(diff: Diff) -> list[Shown]:
     """For a person: what it means, and which files differ."""
     verdict = "nothing but version and date" if diff.bump == "none" else f"{diff.bump}, so {diff.next_version} follows"
-    meanings = Shown(title=markup(f"{diff.old} → {diff.new}: {verdict}"), title_justify="left")
-    meanings.add_column("asks for")
-    meanings.add_column("what changed", overflow="fold")
+    meanings = titled_table(f"{diff.old} → {diff.new}: {verdict}", ["asks for", "what changed"])
     for item in diff.meanings:
         meanings.add_row(item.bump, markup(item.text))
-    files = Shown(title=f"{len(diff.files):,} files differ", title_justify="left")
-    files.add_column("file", overflow="fold")
-    files.add_column("how", no_wrap=True)
+    files = titled_table(f"{len(diff.files):,} files differ", ["file", "how"], unbroken=["how"])
     for change in diff.files:
         how = "same content, other bytes" if change.how == "serialisation" else change.how
         files.add_row(markup(change.path), how)

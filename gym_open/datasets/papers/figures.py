@@ -3,15 +3,14 @@
 Colours are those that colour-blind readers tell apart (Okabe and Ito; cividis), and a hatch or a number says the same.
 """
 
-import io
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gym_open.datasets.papers.facts import X_EDGES, Y_EDGES, Facts, Played
 from gym_open.envs.constants import IMAGE_SIZE
+from gym_open.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, YELLOW, draw_coverage, plain_style, png
 from gym_open.terminal import printable
 
 if TYPE_CHECKING:
@@ -19,10 +18,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-BLUE, GREY = "#0072B2", "#777777"
 _ENDS = (
-    ("#0072B2", ""), ("#E69F00", "///"), ("#009E73", "..."), ("#CC79A7", "xx"), ("#56B4E9", "\\\\\\"),
-    ("#D55E00", "oo"), ("#F0E442", "--"), ("#777777", "++"),
+    (BLUE, ""), (ORANGE, "///"), (GREEN, "..."), (PURPLE, "xx"), (SKY, "\\\\\\"), (VERMILION, "oo"), (YELLOW, "--"),
+    (GREY, "++"),
 )  # fmt: skip
 """Colour and hatch of a reason why episodes end; after the last they come again."""
 _ARROWS = ("stay", "→", "↗", "↑", "↖", "←", "↙", "↓", "↘")
@@ -38,25 +36,8 @@ def draw(facts: Facts) -> dict[str, bytes]:
     drawn: dict[str, Callable[[Facts], Figure]] = {
         "frames": _contact_sheet, "coverage": _coverage, "actions": _actions, "episodes": _episodes,
     }  # fmt: skip
-    with _plain_style():
-        return {f"{name}.png": _png(make(facts)) for name, make in drawn.items()}
-
-
-@contextmanager
-def _plain_style() -> Iterator[None]:
-    """Matplotlib as it comes, whatever the user's own settings; `$` in a name is no formula."""
-    from matplotlib import style
-
-    with style.context(["default", {"text.parse_math": False, "axes.spines.top": False, "axes.spines.right": False}]):
-        yield
-
-
-def _png(figure: "Figure") -> bytes:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    out = io.BytesIO()
-    FigureCanvasAgg(figure).print_png(out, metadata={"Software": None})
-    return out.getvalue()
+    with plain_style():
+        return {f"{name}.png": png(make(facts)) for name, make in drawn.items()}
 
 
 def _name(explorer: str) -> str:
@@ -117,11 +98,8 @@ def _coverage(facts: Facts) -> "Figure":
     image = None
     for axes, one, share in zip(panels, shown, shares, strict=False):
         axes.set(title=_name(one.explorer), xlabel="x (m)")
-        axes.patch.set(hatch="///", edgecolor="#BBBBBB")
-        image = axes.imshow(
-            np.ma.masked_equal(share, 0), origin="lower", cmap="cividis", norm=norm,
-            extent=(X_EDGES[0], X_EDGES[-1], Y_EDGES[0], Y_EDGES[-1]),
-        )  # fmt: skip
+        extent = (X_EDGES[0], X_EDGES[-1], Y_EDGES[0], Y_EDGES[-1])
+        image = draw_coverage(axes, share, norm, hatch_colour="#BBBBBB", origin="lower", extent=extent)
     for axes in panels[len(shown) :]:
         axes.set_visible(False)
     for axes in panels[::columns]:

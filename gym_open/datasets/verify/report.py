@@ -7,7 +7,7 @@ import msgspec
 from rich.table import Table
 
 from gym_open.artefacts import Problem
-from gym_open.terminal import markup, printable
+from gym_open.terminal import markup, printable, titled_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -75,14 +75,14 @@ class Report(msgspec.Struct):
 
     def tables(self) -> list[Table]:
         """What was checked, what is wrong file by file, and what the replay gave."""
-        checks = _table("what was checked", ("check", "outcome"))
+        checks = titled_table("what was checked", ("check", "outcome"))
         for check in self.checks:
             colour = {None: "dim", True: "green", False: "red"}[check.good]
             checks.add_row(f"[{colour}]{markup(check.name)}[/]", markup(check.outcome))
         shown = [checks]
         if self.problems:
             listed = self.problems[:_SHOWN]
-            problems = _table(f"problems ({len(listed)} of {len(self.problems)})", ("file", "what is wrong"))
+            problems = titled_table(f"problems ({len(listed)} of {len(self.problems)})", ("file", "what is wrong"))
             for problem in listed:
                 problems.add_row(markup(problem.file), markup(problem.what))
             shown.append(problems)
@@ -99,10 +99,3 @@ def verdict_of(checks: list[Check], problems: list[Problem], count: int) -> str:
         ).replace("\n", " ")
     said = {check.name: check.outcome for check in checks}
     return f"verified: {said['structure']}; {printable(said['signature'])}; replay: {said['replay']}"
-
-
-def _table(title: str, columns: tuple[str, ...]) -> Table:
-    table = Table(title=title, title_justify="left")
-    for name in columns:
-        table.add_column(name, overflow="fold")
-    return table

@@ -4,22 +4,22 @@ Colours are those that colour-blind readers tell apart (Okabe and Ito); dash and
 """
 
 import io
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from gym_open.evaluate.report.results import Band, Cell, Results
 from gym_open.evaluate.report.words import steps
+from gym_open.plots import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, plain_style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _STYLES = (
-    ("#0072B2", "-", "o"), ("#D55E00", "--", "s"), ("#009E73", "-.", "^"), ("#CC79A7", ":", "D"),
-    ("#E69F00", (0, (6, 1.5)), "v"), ("#56B4E9", (0, (3, 1, 1, 1, 1, 1)), "P"), ("#000000", (0, (1, 1)), "X"),
+    (BLUE, "-", "o"), (VERMILION, "--", "s"), (GREEN, "-.", "^"), (PURPLE, ":", "D"), (ORANGE, (0, (6, 1.5)), "v"),
+    (SKY, (0, (3, 1, 1, 1, 1, 1)), "P"), (BLACK, (0, (1, 1)), "X"),
 )  # fmt: skip
 """Colour, dash and marker of a trained agent; after the last they come again, one place shifted."""
-_FIXED = {"random": ("#777777", (0, (1, 2))), "oracle": ("#777777", "-"), "human": ("#777777", (0, (8, 3)))}
+_FIXED = {"random": (GREY, (0, (1, 2))), "oracle": (GREY, "-"), "human": (GREY, (0, (8, 3)))}
 """Of what no training made."""
 _INCHES = (4.4, 2.7)
 """Width and height of the axes with their labels: text stays legible where a phone shows the figure at its width."""
@@ -111,7 +111,8 @@ def _band(axes: "Axes", band: Band, agent: str, style: tuple[str, object, str], 
 
 
 def _svg(name: str, lines: int, paint: "Callable[[Axes], None]") -> bytes:
-    with _plain_style(name):
+    # Text stays text, and the hash salt makes equal figures equal files.
+    with plain_style({"svg.fonttype": "none", "svg.hashsalt": name, "font.size": 10, "font.family": "sans-serif"}):
         from matplotlib.backends.backend_svg import FigureCanvasSVG
         from matplotlib.figure import Figure
 
@@ -127,16 +128,3 @@ def _svg(name: str, lines: int, paint: "Callable[[Axes], None]") -> bytes:
         out = io.BytesIO()
         FigureCanvasSVG(figure).print_svg(out, metadata={"Date": None, "Creator": None})
         return out.getvalue()
-
-
-@contextmanager
-def _plain_style(name: str) -> Iterator[None]:
-    """Matplotlib as it comes, whatever the user's own settings; `$` in a name is no formula; text stays text."""
-    from matplotlib import style
-
-    plain = {
-        "text.parse_math": False, "svg.fonttype": "none", "svg.hashsalt": name, "axes.spines.top": False,
-        "axes.spines.right": False, "font.size": 10, "font.family": "sans-serif",
-    }  # fmt: skip
-    with style.context(["default", plain]):
-        yield

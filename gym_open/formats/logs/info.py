@@ -16,7 +16,7 @@ from gym_open.formats.logs.logfile import LogFile, parse_head
 from gym_open.formats.logs.messages import decode_segment, decode_stuck, decode_switch
 from gym_open.formats.logs.reader import found_files
 from gym_open.formats.logs.schemas import LogError, LogHead, Stuck, Switch
-from gym_open.terminal import markup
+from gym_open.terminal import markup, titled_table
 
 _NO_PICTURE = np.empty(0)
 
@@ -112,18 +112,12 @@ def info_tables(source: Path) -> list[Table]:
     return [_files(files), _streams(files, alone=source.is_file()), _channels(files)]
 
 
-def _table(title: str, left: Sequence[str], right: Sequence[str], last: Sequence[str] = ()) -> Table:
-    table = Table(title=markup(title), title_justify="left")
-    for name in (*left, *right, *last):
-        table.add_column(name, justify="right" if name in right else "left", overflow="fold", no_wrap=name == "file")
-    return table
-
-
 def _files(files: Sequence[FileInfo]) -> Table:
     head = files[0].head
     seed = f", seed {head.provenance['seed']}" if "seed" in head.provenance else ""
     title = f"{schemas.FORMAT}, written by {head.provenance.get('code', 'an unknown version')}{seed}"
-    table = _table(title, ["file"], ["steps", "simulated", "bytes", "B/step"], ["health"])
+    numbers = ["steps", "simulated", "bytes", "B/step"]
+    table = titled_table(title, ["file", *numbers, "health"], right=numbers, unbroken=["file"])
     for file in files:
         table.add_row(markup(file.path.name), *_size([file]), markup(file.health))
     return table
@@ -136,8 +130,8 @@ def _size(files: Sequence[FileInfo]) -> tuple[str, str, str, str]:
 
 
 def _streams(files: Sequence[FileInfo], *, alone: bool) -> Table:
-    right = ["steps", "B/step", "worlds", "segments", "stuck"]
-    table = _table("streams", ["stream"], right, ["switches", "health"])
+    numbers = ["steps", "B/step", "worlds", "segments", "stuck"]
+    table = titled_table("streams", ["stream", *numbers, "switches", "health"], right=numbers)
     for stream in sorted({file.head.stream for file in files}):
         own = [file for file in files if file.head.stream == stream]
         switches = [switch for file in own for switch in file.switches]
@@ -167,7 +161,7 @@ def _health(files: Sequence[FileInfo], *, alone: bool) -> str:
 
 
 def _channels(files: Sequence[FileInfo]) -> Table:
-    table = _table("channels", ["topic", "type"], ["messages"])
+    table = titled_table("channels", ["topic", "type", "messages"], right=["messages"])
     total = sum((file.messages for file in files), Counter[str]())
     for topic, (kind, _) in schemas.DEFINITIONS.items():
         if total[topic]:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from gym_open.viz.charts import finish, png
+from gym_open.plots import BLUE, GREY, VERMILION, draw_png, finish
 from gym_open.viz.curves.sources import Curve, Probed
 
 if TYPE_CHECKING:
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _HELD_OUT = "held_out_"
-_FEATURES = {"trained": ("#0072B2", "o"), "untrained": ("#D55E00", "s"), "pixels": ("#777777", "^")}
+_FEATURES = {"trained": (BLUE, "o"), "untrained": (VERMILION, "s"), "pixels": (GREY, "^")}
 """Colour and marker of what a probe looks at."""
 _FEW = 8
 """Points of a curve up to which each is marked."""
@@ -28,15 +28,15 @@ def draw_curve(curve: Curve) -> bytes:
     def paint(figure: "Figure") -> None:
         panels = figure.subplots(down, across, squeeze=False).ravel()
         for axes, name in zip(panels, own, strict=False):
-            _line(axes, curve, name, {"color": "#0072B2", "label": "in training"})
+            _line(axes, curve, name, {"color": BLUE, "label": "in training"})
             if _HELD_OUT + name in names:
-                _line(axes, curve, _HELD_OUT + name, {"color": "#D55E00", "linestyle": "--", "label": "held out"})
+                _line(axes, curve, _HELD_OUT + name, {"color": VERMILION, "linestyle": "--", "label": "held out"})
             axes.set(title=name.replace("_", " "), xlabel=first.replace("_", " "))
             finish(axes)
         for axes in panels[len(own) :]:
             axes.set_axis_off()
 
-    return png(4.4 * across, 2.9 * down, paint)
+    return draw_png(4.4 * across, 2.9 * down, paint)
 
 
 def _line(axes: "Axes", curve: Curve, name: str, style: dict[str, str]) -> None:
@@ -71,7 +71,7 @@ def draw_probes(probes: Sequence[Probed]) -> bytes:
         axes.plot([], [], color="black", linestyle=":", label="guess without a picture")
         figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
 
-    return png(3.8 * across + 1.5, (0.9 + 0.42 * len(probes)) * down + 0.4, paint)
+    return draw_png(3.8 * across + 1.5, (0.9 + 0.42 * len(probes)) * down + 0.4, paint)
 
 
 def _intervals(axes: "Axes", target: str, kind: str, offset: float, probes: Sequence[Probed]) -> None:

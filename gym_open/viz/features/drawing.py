@@ -16,12 +16,11 @@ import rerun as rr
 from gym_open.envs import constants as c
 from gym_open.viz.features.analysis import Analysis
 from gym_open.viz.features.frames import Frames
+from gym_open.viz.play.columns import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, YELLOW
 
 TIMELINE = "frame"
-GREY, HERE, NEAR = (150, 150, 150), (230, 0, 0), (204, 121, 167)
-_OKABE_ITO = (
-    (230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66), (0, 114, 178), (213, 94, 0), (204, 121, 167),
-)  # fmt: skip
+HERE, NEAR = (230, 0, 0), PURPLE
+_WORLD_COLOURS = (ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE)
 _FAR = 1.5
 """Metres from a goal that are as far as colours tell."""
 _GAP, _TITLE = 8, 12
@@ -32,7 +31,7 @@ COLOURINGS = {
     "agent_x": ("agent's x", f"violet −{c.WALL_X:.2f} m, yellow {c.WALL_X:.2f} m"),
     "agent_y": ("agent's y", f"violet −{c.WALL_Y:.2f} m, yellow {c.WALL_Y:.2f} m"),
     "goal": ("nearest goal", f"violet touching, yellow {_FAR:.1f} m or more"),
-    "world": ("world", f"the {len(_OKABE_ITO)} seen most in colour, others grey"),
+    "world": ("world", f"the {len(_WORLD_COLOURS)} seen most in colour, others grey"),
 }
 """What the points' colours say, and how."""
 
@@ -58,7 +57,7 @@ def _scale(values: np.ndarray, low: float, high: float) -> np.ndarray:
 def _by_world(worlds: np.ndarray) -> np.ndarray:
     found, counts = np.unique(worlds, return_counts=True)
     colours = np.full((len(worlds), 3), GREY, np.uint8)
-    for world, colour in zip(found[np.argsort(-counts, kind="stable")], _OKABE_ITO, strict=False):
+    for world, colour in zip(found[np.argsort(-counts, kind="stable")], _WORLD_COLOURS, strict=False):
         colours[worlds == world] = colour
     return colours
 

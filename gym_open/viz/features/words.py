@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gym_open.agents.config import EncoderConfig
-from gym_open.viz.charts import finish, png
+from gym_open.plots import BLUE, VERMILION, draw_png, finish
 from gym_open.viz.features.analysis import Analysis, agent_apart, components_for, same_world
 from gym_open.viz.features.frames import Frames
 from gym_open.viz.words import cell, table
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _NEW_LINE = "\n"
-_STYLES = (("#0072B2", "-"), ("#D55E00", "--"))
+_STYLES = ((BLUE, "-"), (VERMILION, "--"))
 
 
 _HOW = """
@@ -76,4 +76,4 @@ def draw_variance(looked: Mapping[str, Analysis]) -> bytes:
         axes.xaxis.set_major_formatter("{x:g}")
         finish(axes)
 
-    return png(8, 4.5, paint)
+    return draw_png(8, 4.5, paint)

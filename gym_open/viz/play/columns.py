@@ -6,16 +6,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
+from gym_open import plots
 from gym_open.envs.constants import CONTROL_DT_S
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-BLUE, SKY, ORANGE, VERMILION, GREEN, PURPLE, YELLOW, GREY = (
-    (0, 114, 178), (86, 180, 233), (230, 159, 0), (213, 94, 0), (0, 158, 115), (204, 121, 167), (240, 228, 66),
-    (150, 150, 150),
-)  # fmt: skip
-"""Colours that colour-blind readers tell apart (Okabe and Ito), and a grey."""
+BLUE, SKY, ORANGE, VERMILION, GREEN, PURPLE, YELLOW = map(
+    plots.rgb,
+    (plots.BLUE, plots.SKY, plots.ORANGE, plots.VERMILION, plots.GREEN, plots.PURPLE, plots.YELLOW),
+)
+GREY = (150, 150, 150)
+"""Visible on Rerun's dark and light backgrounds."""
 
 
 def times(steps: Sequence[int] | np.ndarray) -> list[rr.TimeColumn]:

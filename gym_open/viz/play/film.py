@@ -10,7 +10,8 @@ from gym_open import progress
 from gym_open.envs.constants import CONTROL_DT_S
 from gym_open.envs.puzzles import Puzzle
 from gym_open.envs.world import World
-from gym_open.viz.film import FAINT, INK, PAPER, coverage_picture, enlarged, even, typeface
+from gym_open.plots import coverage_image
+from gym_open.viz.film import FAINT, INK, PAPER, enlarged, even, typeface
 from gym_open.viz.play.glance import Glance, Moment, others_named
 from gym_open.viz.render import DIRECTIONS, Look, painter, pose
 from gym_open.viz.strip import Strip
@@ -80,7 +81,7 @@ def _frame(
     left = _LARGE + _GAP
     if beside:
         page.paste(Image.fromarray(enlarged(moment.image, _SMALL)), (left, 0))
-    cells = coverage_picture(moment.coverage, _CELL if beside else 2 * _CELL)
+    cells = coverage_image(moment.coverage, _CELL if beside else 2 * _CELL)
     top = _SMALL + _GAP if beside else 0
     page.paste(Image.fromarray(cells), (left + (_SMALL - cells.shape[1]) // 2, top))
     draw.text((left + _SMALL / 2, top + len(cells) + 13), "coverage so far", fill=FAINT, font=typeface(12), anchor="mm")

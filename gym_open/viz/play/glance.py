@@ -9,13 +9,13 @@ import numpy as np
 from gym_open import progress
 from gym_open.envs.puzzles import Puzzle
 from gym_open.formats.pictures import decode_png
+from gym_open.plots import BLUE, GREY, ORANGE
 from gym_open.viz.play.coverage import Coverage
 from gym_open.viz.play.streams import ACTION, ENTROPY, LOSS, REWARD, VALUE, Span, Stream
 from gym_open.viz.strip import Curve, Plot
 
 _BINS = 800
 """Points of a curve at most: each is the mean of as many steps."""
-_BLUE, _GREY, _ORANGE = "#0072B2", "#777777", "#E69F00"
 
 
 class Moment(NamedTuple):
@@ -53,17 +53,17 @@ class Glance(msgspec.Struct, frozen=True, eq=False):
         mean = f", means of {width:.0f} steps" if width >= 2 else ""
         found = list[Plot]()
         if REWARD in self.series:
-            found.append(Plot(f"intrinsic reward{mean}", [self._curve(REWARD, _BLUE)]))
+            found.append(Plot(f"intrinsic reward{mean}", [self._curve(REWARD, BLUE)]))
         if LOSS in self.series:
-            found.append(Plot(f"world-model loss{mean}", [self._curve(LOSS, _BLUE)], level=self.stream.threshold))
+            found.append(Plot(f"world-model loss{mean}", [self._curve(LOSS, BLUE)], level=self.stream.threshold))
         stays = [stay for stay in self.stream.shown_stays() if stay.steps]
         lane = Curve(
             np.array([step for stay in stays for step in (stay.steps.start, stay.steps.stop)]),
             np.array([stay.world for stay in stays for _ in range(2)]),
-            _GREY,
+            GREY,
         )
         found.append(Plot(f"world of the pool, {len(stays)} segment{'s' * (len(stays) != 1)}", [lane], counted=True))
-        names = {ENTROPY: (_BLUE, "entropy (nats)", "-"), VALUE: (_ORANGE, "value", "--")}
+        names = {ENTROPY: (BLUE, "entropy (nats)", "-"), VALUE: (ORANGE, "value", "--")}
         known = [self._curve(name, *names[name]) for name in names if name in self.series]
         return [*found, Plot(f"policy{mean}", known)] if known else found
 

@@ -3,9 +3,8 @@
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from gym_open.envs.constants import CELL_0, COLUMNS, CONTROL_DT_S, PITCH, ROWS
+from gym_open.envs.constants import CONTROL_DT_S, PITCH
+from gym_open.plots import draw_coverage
 from gym_open.viz.play.glance import Glance, glance, others_named
 from gym_open.viz.play.streams import Stream
 from gym_open.viz.strip import draw_plot
@@ -67,13 +66,7 @@ def _coverage(figure: "SubFigure", play: Glance) -> None:
     counts = play.moments[-1].coverage.astype(float)
     most = max(counts.max(), 2)
     axes = figure.subplots()
-    half = PITCH / 2
-    right, bottom = CELL_0[0] + (COLUMNS - 1) * PITCH, CELL_0[1] - (ROWS - 1) * PITCH
-    image = axes.imshow(
-        np.ma.masked_equal(counts, 0), norm=LogNorm(1, most), cmap="viridis",
-        extent=(CELL_0[0] - half, right + half, bottom - half, CELL_0[1] + half),
-    )  # fmt: skip
-    axes.set_facecolor("#dddddd")
+    image = draw_coverage(axes, counts, LogNorm(1, most))
     axes.set_title(f"coverage: steps in cells of {100 * PITCH:.1f} cm", fontsize=9)
     axes.set_xlabel("x (m)", fontsize=8)
     axes.set_ylabel("y (m)", fontsize=8)
@@ -82,4 +75,4 @@ def _coverage(figure: "SubFigure", play: Glance) -> None:
     bar = figure.colorbar(image, ax=axes, orientation="horizontal", shrink=0.6, format="{x:,.0f}", ticks=ticks)
     bar.ax.xaxis.set_minor_formatter(NullFormatter())  # else few counts get labels that want formulas
     bar.ax.tick_params(labelsize=8)
-    bar.set_label("steps (grey: never there)", fontsize=8)
+    bar.set_label("steps (hatched: never)", fontsize=8)

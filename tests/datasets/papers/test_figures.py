@@ -21,10 +21,9 @@ from gym_open.datasets.papers.figures import (
     _actions,
     _episodes,
     _pick,
-    _plain_style,
-    _png,
     draw,
 )
+from gym_open.plots import plain_style, png
 
 
 @pytest.fixture(scope="module")
@@ -66,9 +65,9 @@ def test_the_contact_sheet_shows_frames_of_the_release(facts: Facts, release: Re
 def test_hostile_names(facts: Facts) -> None:
     name = "$\\frac{$ \x1b[2J " + "x" * 400
     played = [dataclasses.replace(one, explorer=name, ended=Counter({name: one.episodes})) for one in facts.played]
-    with _plain_style():
+    with plain_style():
         for figure in (_actions, _episodes):
-            assert _png(figure(dataclasses.replace(facts, played=played))).startswith(b"\x89PNG")
+            assert png(figure(dataclasses.replace(facts, played=played))).startswith(b"\x89PNG")
 
 
 def test_colours_are_told_apart_by_the_colour_blind() -> None:
