@@ -13,7 +13,7 @@ from gym_open.summary import short, word
 from gym_open.viz.config import VizConfig
 
 if TYPE_CHECKING:
-    from gym_open.viz.choice import Choice
+    from gym_open.viz.config import Choice
 
 T = TypeVar("T")
 _NO_DEFAULT = tyro.conf.arg(help_behavior_hint="")
@@ -68,7 +68,7 @@ class Viz(StageCommand):
 
     def run(self) -> None:
         """Open it, or write the file that was asked for."""
-        from gym_open.viz.choice import Choice, parse_steps
+        from gym_open.viz.config import Choice, parse_steps
 
         asked = [name for name in ("save", "web", "video", "png") if getattr(self, name)]
         if len(asked) > 1:
@@ -78,11 +78,11 @@ class Viz(StageCommand):
         steps = None if self.steps is None else parse_steps(self.steps)
         choice = Choice(self.puzzle, self.episode, self.segment, steps, self.release, self.stream)
         if self.video:
-            from gym_open.viz.video import write_video
+            from gym_open.viz.export import write_video
 
             _made(write_video(self.settings, self.sources, choice, self.video))
         elif self.png:
-            from gym_open.viz.still import write_still
+            from gym_open.viz.export import write_still
 
             _made(write_still(self.settings, self.sources, choice, self.png))
         else:

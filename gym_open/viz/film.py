@@ -1,5 +1,6 @@
 """Films and pictures as files: MP4 by PyAV, GIF and PNG by Pillow; each appears whole or not at all."""
 
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -7,9 +8,10 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageFont
 
+from gym_open import artefacts
 from gym_open.errors import UsageError
+from gym_open.files import unwritable
 from gym_open.processes import interruptible
-from gym_open.viz.places import hidden_beside, refuse_artefact
 
 FILMS = (".mp4", ".gif")
 PAPER, INK, FAINT = (250, 250, 248), (25, 25, 25), (110, 110, 110)
@@ -28,17 +30,36 @@ def write_whole(out: Path, write: Callable[[Path], Any]) -> Path:
     """Write a file beside `out`, then rename it.
 
     Raises:
+        ArtefactError: if nothing can be written there.
         UsageError: if the place is in a finished artefact.
     """
     refuse_artefact(out)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    beside = hidden_beside(out)
+    beside = out.with_name(f".{out.name}.{os.getpid()}.tmp")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        beside.touch()
+    except OSError as error:
+        raise unwritable(out, error) from None
     with interruptible():
         try:
             write(beside)
             return beside.replace(out)
+        except OSError as error:
+            raise unwritable(out, error) from None
         finally:
             beside.unlink(missing_ok=True)
+
+
+def refuse_artefact(out: Path) -> None:
+    """Refuse to write into a finished artefact, since that would no longer be what its manifest says.
+
+    Raises:
+        UsageError: if `out` lies in one.
+    """
+    for folder in out.resolve().parents:
+        finished = not folder.name.startswith(".")  # a hidden one is still being made, perhaps with this file in it
+        if finished and all((folder / name).is_file() for name in (artefacts.MANIFEST, artefacts.LINEAGE)):
+            raise UsageError(f"{out}: in the artefact {folder}, whose files are fixed; give a place elsewhere")
 
 
 def check_suffix(out: Path, known: tuple[str, ...]) -> None:

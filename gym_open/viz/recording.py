@@ -6,8 +6,7 @@ from pathlib import Path
 from gym_open import artefacts
 from gym_open.errors import ArtefactError, UsageError
 from gym_open.viz import viewers
-from gym_open.viz.choice import Choice
-from gym_open.viz.config import VizConfig
+from gym_open.viz.config import Choice, VizConfig
 from gym_open.viz.view import View
 
 LOG, BENCHMARK = "log", "benchmark"

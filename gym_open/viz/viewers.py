@@ -22,10 +22,9 @@ import rerun as rr
 import rerun_cli
 
 from gym_open.errors import GymOpenError, UsageError
-from gym_open.files import unwritable
 from gym_open.processes import end_with_parent, interruptible
 from gym_open.terminal import printable
-from gym_open.viz.places import hidden_beside, refuse_artefact
+from gym_open.viz.film import write_whole
 from gym_open.viz.view import View
 from gym_open.viz.web_page import LOOPBACK, Page
 
@@ -51,21 +50,7 @@ def save(view: View, path: Path) -> Path:
     """
     if path.suffix != ".rrd":
         raise UsageError(f"{path}: a recording's name must end in .rrd, got {path.suffix or 'no ending'!r}")
-    refuse_artefact(path)
-    beside = hidden_beside(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        beside.touch()
-    except OSError as error:
-        raise unwritable(path, error) from None
-    with interruptible():
-        try:
-            beside.write_bytes(_recorded(view))
-            return beside.replace(path)
-        except OSError as error:
-            raise unwritable(path, error) from None
-        finally:
-            beside.unlink(missing_ok=True)
+    return write_whole(path, lambda beside: beside.write_bytes(_recorded(view)))
 
 
 def native(view: View) -> None:

@@ -11,8 +11,7 @@ from gym_open import artefacts
 from gym_open.config import Config
 from gym_open.errors import ArtefactError, UsageError
 from gym_open.formats.logs.reader import log_files
-from gym_open.viz.choice import Choice
-from gym_open.viz.config import VizConfig
+from gym_open.viz.config import Choice, VizConfig
 from gym_open.viz.recording import kind_of, open_view, visualize
 
 MakeLog = Callable[..., Path]

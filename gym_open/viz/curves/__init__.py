@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gym_open.viz.choice import Choice
-from gym_open.viz.config import VizConfig
+from gym_open.viz.config import Choice, VizConfig
 from gym_open.viz.view import View
 
 if TYPE_CHECKING:
@@ -36,7 +35,7 @@ def view(config: VizConfig, sources: Sequence[Path], choice: Choice) -> View:  #
     from gym_open.viz.curves import drawing, figure, jobs, layout, words
     from gym_open.viz.curves.rows import rows_of, rows_of_report
     from gym_open.viz.curves.sources import find
-    from gym_open.viz.static import log_document, log_figure
+    from gym_open.viz.view import log_document, log_figure
 
     choice.refuse_others("curves", ())
     found = find(sources)

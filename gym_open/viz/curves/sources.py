@@ -16,7 +16,7 @@ from gym_open.envs.tasks import step_budget
 from gym_open.errors import ArtefactError
 from gym_open.formats.scores import EPISODES, RECORD, Scores, read_episodes, read_scores
 from gym_open.replay.episodes import puzzle_of
-from gym_open.viz.words import cell
+from gym_open.viz.documents import cell
 
 CURVE, PROBE, REPORT, CONFIG = "curve.json", "probe.json", "table.json", artefacts.CONFIG
 _READ = frozenset({CURVE, PROBE, REPORT, CONFIG, artefacts.LINEAGE, RECORD, EPISODES})

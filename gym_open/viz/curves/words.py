@@ -5,7 +5,7 @@ from typing import Any
 
 from gym_open.viz.curves.rows import Row, standing
 from gym_open.viz.curves.sources import Found, Report
-from gym_open.viz.words import cell, table
+from gym_open.viz.documents import cell, table
 
 _MOST_LINES = 200
 """Of a report's list that are shown."""

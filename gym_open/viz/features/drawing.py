@@ -16,7 +16,7 @@ import rerun as rr
 from gym_open.envs import constants as c
 from gym_open.viz.features.analysis import Analysis
 from gym_open.viz.features.frames import Frames
-from gym_open.viz.play.columns import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, YELLOW
+from gym_open.viz.view import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, YELLOW
 
 TIMELINE = "frame"
 HERE, NEAR = (230, 0, 0), PURPLE

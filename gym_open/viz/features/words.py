@@ -7,9 +7,9 @@ import numpy as np
 
 from gym_open.agents.config import EncoderConfig
 from gym_open.plots import BLUE, VERMILION, draw_png, finish
+from gym_open.viz.documents import cell, table
 from gym_open.viz.features.analysis import Analysis, agent_apart, components_for, same_world
 from gym_open.viz.features.frames import Frames
-from gym_open.viz.words import cell, table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,7 +10,7 @@ from gym_open import progress
 from gym_open.envs.puzzles import Puzzle
 from gym_open.formats.pictures import decode_png
 from gym_open.plots import BLUE, GREY, ORANGE
-from gym_open.viz.play.coverage import Coverage
+from gym_open.viz.play.images import Coverage
 from gym_open.viz.play.streams import ACTION, ENTROPY, LOSS, REWARD, VALUE, Span, Stream
 from gym_open.viz.strip import Curve, Plot
 

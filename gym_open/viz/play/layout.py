@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import rerun.blueprint as rrb
 
-from gym_open.viz.play.pictures import DEPTH, IMAGE, SEGMENTATION
+from gym_open.viz.play.images import DEPTH, IMAGE, SEGMENTATION
 from gym_open.viz.play.series import series_entity
 from gym_open.viz.play.streams import ACTION, CONTACTS, ENTROPY, LOSS, PART, REWARD, VALUE, Stream
 

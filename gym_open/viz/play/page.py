@@ -9,13 +9,13 @@ from gym_open.envs.constants import PITCH
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases import open_release
 from gym_open.formats.releases.reader import Release
-from gym_open.viz.choice import Choice
-from gym_open.viz.config import VizConfig
-from gym_open.viz.play import documents, logs, releases
+from gym_open.viz import documents
+from gym_open.viz.config import Choice, VizConfig
+from gym_open.viz.play import logs, releases
+from gym_open.viz.play.drawing import log_stream
 from gym_open.viz.play.layout import blueprint
-from gym_open.viz.play.stream import log_stream
 from gym_open.viz.play.streams import Stream, chosen
-from gym_open.viz.view import View
+from gym_open.viz.view import View, log_document
 
 _CACHED_GROUPS = 2
 """Row groups of a release whose pictures are in memory: each is read once, in order."""
@@ -38,10 +38,10 @@ def view(config: VizConfig, source: Path, choice: Choice) -> View:
 
     def fill(rec: rr.RecordingStream) -> None:
         told = {"kind": "not an artefact, or not a finished one", "file or folder": source.name}
-        rec.log("about/lineage", documents.lineage(f"Lineage of {title}", record, told), static=True)
+        log_document(rec, "about/lineage", documents.lineage(f"Lineage of {title}", record, told))
         for stream in streams:
             document = documents.settings(f"{title}, stream {stream.number}", _facts(stream), stream.config)
-            rec.log(f"{stream.name}/about/settings", document, static=True)
+            log_document(rec, f"{stream.name}/about/settings", document)
             log_stream(rec, stream, config)
 
     return View(title, fill, blueprint(streams))

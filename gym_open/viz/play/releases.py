@@ -16,7 +16,7 @@ from gym_open.formats.logs.logfile import check_nesting
 from gym_open.formats.pictures import encode_pngs
 from gym_open.formats.releases import IMAGE, Release
 from gym_open.formats.releases.layout import PART as PART_COLUMN
-from gym_open.viz.choice import Choice
+from gym_open.viz.config import Choice
 from gym_open.viz.play.streams import (
     ACTION,
     CONTACTS,

@@ -5,8 +5,8 @@ import rerun as rr
 from rerun.components import MarkerShape
 
 from gym_open.terminal import printable
-from gym_open.viz.play.columns import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, YELLOW, tensors, times
 from gym_open.viz.play.streams import ACTION, CONTACTS, ENTROPY, LOSS, PART, REWARD, VALUE, Span, Stream
+from gym_open.viz.view import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, YELLOW, tensors, times
 
 LINES = {
     REWARD: ("intrinsic reward", BLUE),

@@ -13,7 +13,7 @@ from gym_open.envs.physics.contacts import Contact
 from gym_open.envs.puzzles import Puzzle
 from gym_open.errors import UsageError
 from gym_open.formats.logs import Stuck, Switch
-from gym_open.viz.choice import Choice
+from gym_open.viz.config import Choice
 
 REWARD, LOSS, ENTROPY, VALUE, CONTACTS, ACTION = (
     "intrinsic_reward", "world_model_loss", "entropy", "value", "contacts", "action",

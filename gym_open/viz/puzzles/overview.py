@@ -21,11 +21,11 @@ from PIL import Image
 from gym_open.envs.constants import IMAGE_SIZE
 from gym_open.envs.puzzles.sets import puzzle_by_id
 from gym_open.errors import UsageError
+from gym_open.viz.documents import cell, table
 from gym_open.viz.puzzles.names import colour
 from gym_open.viz.puzzles.tables import HARDEST, Table, commands, read_tables
 from gym_open.viz.render import draw_sheet
 from gym_open.viz.view import View
-from gym_open.viz.words import cell, table
 
 TIMELINE = "actions"
 _EARNED = np.array([(0, 34, 78), (124, 123, 120), (254, 232, 56)])

@@ -15,12 +15,11 @@ import rerun.blueprint as rrb
 
 from gym_open.envs.tasks import step_budget
 from gym_open.viz.config import VizConfig
-from gym_open.viz.play.columns import times
+from gym_open.viz.documents import cell, table
 from gym_open.viz.puzzles.agent import log_agent
 from gym_open.viz.puzzles.episodes import Episode, Puzzled
 from gym_open.viz.render import DIRECTIONS
-from gym_open.viz.view import View
-from gym_open.viz.words import cell, table
+from gym_open.viz.view import View, times
 
 _ABREAST = 4
 """Agents side by side; more come in tabs."""

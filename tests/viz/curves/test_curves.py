@@ -16,8 +16,7 @@ from gym_open.evaluate.config import ReportConfig
 from gym_open.evaluate.report import write_report
 from gym_open.evaluate.report.figures import Drawn
 from gym_open.viz import curves
-from gym_open.viz.choice import Choice
-from gym_open.viz.config import VizConfig
+from gym_open.viz.config import Choice, VizConfig
 from gym_open.viz.curves import figure
 from gym_open.viz.curves.sources import Curve, find
 

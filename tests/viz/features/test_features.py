@@ -22,8 +22,7 @@ from gym_open.formats.models import save_encoder, save_policy
 from gym_open.formats.pictures import decode_png
 from gym_open.formats.releases import Release, open_release
 from gym_open.viz import features
-from gym_open.viz.choice import Choice
-from gym_open.viz.config import VizConfig
+from gym_open.viz.config import Choice, VizConfig
 from gym_open.viz.features.frames import of_random_play, of_release
 from gym_open.viz.view import View
 

@@ -13,8 +13,7 @@ from gym_open.errors import ArtefactError, UsageError
 from gym_open.formats.logs import log_files, open_logs
 from gym_open.formats.releases import open_release
 from gym_open.viz import play, viewers
-from gym_open.viz.choice import Choice
-from gym_open.viz.config import VizConfig
+from gym_open.viz.config import Choice, VizConfig
 
 MakeLog = Callable[..., Path]
 

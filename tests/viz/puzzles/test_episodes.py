@@ -22,8 +22,7 @@ from gym_open.evaluate.config import EvaluateConfig
 from gym_open.evaluate.play import load_actor, play
 from gym_open.formats.models import load_policy
 from gym_open.formats.scores import EPISODES
-from gym_open.viz.choice import Choice
-from gym_open.viz.config import VizConfig
+from gym_open.viz.config import Choice, VizConfig
 from gym_open.viz.puzzles import episodes, view
 from gym_open.viz.puzzles.episodes import Episode, play_all
 

@@ -12,12 +12,11 @@ from gym_open.envs.puzzles.sets import puzzle_by_id
 from gym_open.envs.tasks import rewarded
 from gym_open.envs.world import World
 from gym_open.errors import UsageError
-from gym_open.viz.choice import Choice
-from gym_open.viz.config import VizConfig
+from gym_open.viz.config import Choice, VizConfig
+from gym_open.viz.export import write_video
 from gym_open.viz.film import enlarged
 from gym_open.viz.puzzles.episodes import play_all
 from gym_open.viz.puzzles.film import film, frames_a_step
-from gym_open.viz.video import write_video
 
 MakeLog = Callable[..., Path]
 PLAIN = VizConfig(film_look="observation")

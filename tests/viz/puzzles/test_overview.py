@@ -10,8 +10,7 @@ import pytest
 from gym_open import artefacts
 from gym_open.evaluate.metrics import a_success, mean_return_within
 from gym_open.viz import viewers
-from gym_open.viz.choice import Choice
-from gym_open.viz.config import VizConfig
+from gym_open.viz.config import Choice, VizConfig
 from gym_open.viz.puzzles import view
 from gym_open.viz.puzzles.tables import Table, commands, read_tables
 

@@ -10,8 +10,7 @@ import pytest
 from gym_open.envs import constants as c
 from gym_open.formats.pictures import decode_png
 from gym_open.viz import viewers
-from gym_open.viz.choice import Choice
-from gym_open.viz.config import VizConfig
+from gym_open.viz.config import Choice, VizConfig
 from gym_open.viz.puzzles import view
 from gym_open.viz.puzzles.episodes import Puzzled, play_all
 

@@ -10,12 +10,11 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from gym_open.errors import UsageError
-from gym_open.viz.choice import Choice
-from gym_open.viz.config import VizConfig
+from gym_open.viz.config import Choice, VizConfig
+from gym_open.viz.export import write_still
 from gym_open.viz.film import enlarged
 from gym_open.viz.puzzles.episodes import play_all
 from gym_open.viz.puzzles.still import shown_steps, strips
-from gym_open.viz.still import write_still
 
 MakeLog = Callable[..., Path]
 PLAIN = VizConfig(film_look="observation")

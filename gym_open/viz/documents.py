@@ -1,15 +1,15 @@
-"""Configuration and lineage as documents: readable tables first, the raw JSON below."""
+"""Documents of a recording, in Markdown: configuration and lineage as tables, the raw JSON below them.
+
+Text from files is shown as it is: Markdown finds no markup in it.
+"""
 
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-import rerun as rr
-
 from gym_open.artefacts import Lineage
 from gym_open.terminal import printable
-from gym_open.viz.words import cell, table
 
 _MOST_RAW = 20_000
 """Characters of raw JSON that are shown: Rerun draws all of a document in every frame."""
@@ -19,7 +19,23 @@ _SHORT = 12
 """Characters of a digest that are shown in a table."""
 
 
-def settings(title: str, facts: Mapping[str, object], config: Mapping[str, Any]) -> rr.TextDocument:
+_SPECIAL = re.compile(r"([\\`*_{}\[\]<>#|~!&])")
+
+
+def cell(text: object, longest: int = 120) -> str:
+    """Text on one line in which Markdown finds nothing of its own, not endless."""
+    shown = printable(str(text)).replace("\n", " ")
+    shown = shown if len(shown) <= longest else f"{shown[:longest]}…"
+    return _SPECIAL.sub(r"\\\1", shown)
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of a table whose first column is left, the others right; cells are Markdown already."""
+    lines = [f"| {' | '.join(head)} |", f"|---|{'---:|' * (len(head) - 1)}"]
+    return lines + [f"| {' | '.join(row)} |" for row in rows]
+
+
+def settings(title: str, facts: Mapping[str, object], config: Mapping[str, Any]) -> str:
     """What is worth knowing first, all settings as a table, and the configuration as it is.
 
     Args:
@@ -39,14 +55,14 @@ def settings(title: str, facts: Mapping[str, object], config: Mapping[str, Any])
         "## As it is written",
         raw_json(config),
     ]
-    return _document(lines)
+    return "\n".join(lines)
 
 
-def lineage(title: str, record: Lineage | None, facts: Mapping[str, object]) -> rr.TextDocument:
+def lineage(title: str, record: Lineage | None, facts: Mapping[str, object]) -> str:
     """Where an artefact comes from: itself and all its ancestors, with digests; of what is none, the `facts`."""
     if record is None:
         rows = [[cell(name), cell(value)] for name, value in facts.items()]
-        return _document([f"# {cell(title)}", *table(["", ""], rows)])
+        return "\n".join([f"# {cell(title)}", *table(["", ""], rows)])
     rows = [
         [f"{'·' * depth} {cell(one.kind)}", cell(digest[:_SHORT]), cell(one.code)]
         for depth, digest, one in _ancestors(record)
@@ -69,11 +85,7 @@ def lineage(title: str, record: Lineage | None, facts: Mapping[str, object]) -> 
         "## As it is written, without the ancestors",
         raw_json({"kind": record.kind, "key": record.key, "code": record.code, "facts": record.facts}),
     ]
-    return _document(lines)
-
-
-def _document(lines: Sequence[str]) -> rr.TextDocument:
-    return rr.TextDocument("\n".join(lines), media_type=rr.MediaType.MARKDOWN)
+    return "\n".join(lines)
 
 
 def flattened(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

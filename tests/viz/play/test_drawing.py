@@ -14,8 +14,7 @@ from gym_open.envs.constants import CELL_0, PITCH
 from gym_open.formats.logs import Segment, log_files, open_logs
 from gym_open.formats.pictures import decode_png
 from gym_open.viz import play, viewers
-from gym_open.viz.choice import Choice
-from gym_open.viz.config import VizConfig
+from gym_open.viz.config import Choice, VizConfig
 
 PARTS = ("forward", "inverse")
 NUMBERS = {

@@ -4,7 +4,7 @@ import msgspec
 import pytest
 
 from gym_open.errors import UsageError
-from gym_open.viz.choice import Choice, parse_steps
+from gym_open.viz.config import Choice, parse_steps
 
 
 def test_steps_are_half_open_and_either_end_may_be_left_out() -> None:

@@ -24,31 +24,31 @@ import rerun as rr
 
 from gym_open import progress
 from gym_open.viz.config import VizConfig
-from gym_open.viz.play import events, objects, pictures, segments, series, table
-from gym_open.viz.play.columns import times
-from gym_open.viz.play.coverage import Coverage
+from gym_open.viz.play import events, images, series, table
+from gym_open.viz.play.images import Coverage
 from gym_open.viz.play.streams import ACTION, Span, Stream
+from gym_open.viz.view import times
 
 
 def log_stream(rec: rr.RecordingStream, stream: Stream, config: VizConfig) -> None:
     """Write everything of one stream into the recording, what is known before its steps are read first."""
-    name, tally, coverage = stream.name, segments.Tally(rec, stream), Coverage()
-    trail = objects.Trail(config.trail_steps)
+    name, tally, coverage = stream.name, events.Tally(rec, stream), Coverage()
+    trail = table.Trail(config.trail_steps)
     table.log_table(rec, f"{name}/table")
-    objects.log_styles(rec, f"{name}/table")
+    table.log_styles(rec, f"{name}/table")
     if stream.segmentation:
-        pictures.log_classes(rec, name, stream.geoms)
+        images.log_classes(rec, name, stream.geoms)
     series.log_styles(rec, stream)
     series.log_curriculum(rec, stream)
     events.log_switches(rec, stream)
-    segments.log_list(rec, stream)
+    events.log_list(rec, stream)
     total = len(stream.steps)
     with progress.bar(f"viz {name.replace('_', ' ')}", total) as bar:
         for span in stream.spans(stream.steps):
             last = span.steps.stop == stream.steps.stop
             shown = thinned(span, total, config.max_images, last=last)
             if shown.size:
-                pictures.log_pictures(rec, name, span, shown)
+                images.log_pictures(rec, name, span, shown)
             poses = thinned(span, total, config.max_poses, last=last)
             _log_table(rec, f"{name}/table", span, poses)
             agent = span.states[:, span.names.index("agent"), :3]
@@ -85,11 +85,11 @@ def _log_table(rec: rr.RecordingStream, entity: str, span: Span, numbers: np.nda
     if not numbers.size:
         return
     states = span.states[numbers]
-    objects.log_objects(rec, entity, span.names, states, span.first_step + numbers, begins=span.begins)
+    table.log_objects(rec, entity, span.names, states, span.first_step + numbers, begins=span.begins)
     acting = numbers[numbers < len(span.steps)]
     if acting.size:
         steps = span.first_step + acting
         agent = states[: len(acting), span.names.index("agent"), :3]
-        objects.log_moves(rec, entity, agent, span.series[ACTION][acting].astype(np.int64), steps)
+        table.log_moves(rec, entity, agent, span.series[ACTION][acting].astype(np.int64), steps)
         if span.contacts is not None:
-            objects.log_contacts(rec, entity, [span.contacts[number] for number in acting], steps)
+            table.log_contacts(rec, entity, [span.contacts[number] for number in acting], steps)

@@ -5,11 +5,7 @@ import re
 import msgspec
 
 from gym_open.artefacts import Lineage, Parent
-from gym_open.viz.play.documents import flattened, lineage, raw_json, settings
-
-
-def text_of(document: object) -> str:
-    return document.text.as_arrow_array().to_pylist()[0]  # type: ignore[attr-defined]
+from gym_open.viz.documents import flattened, lineage, raw_json, settings
 
 
 def test_settings_are_named_with_dots() -> None:
@@ -21,7 +17,7 @@ def test_settings_are_named_with_dots() -> None:
 
 def test_markdown_and_escapes_in_settings_are_only_shown() -> None:
     hostile = {"a|b": "[click](https://example.org) <img src=x>\x1b[2J", "fence": "```\n# heading\n````"}
-    text = text_of(settings("title | # `x`", {"damaged": "| **all**"}, hostile))
+    text = settings("title | # `x`", {"damaged": "| **all**"}, hostile)
     before, raw = text.split("## As it is written\n")
     assert "\x1b" not in text
     assert "\\[click\\](https" in before
@@ -44,7 +40,7 @@ def test_raw_json_is_the_configuration_up_to_a_length() -> None:
 def test_lineage_names_every_ancestor() -> None:
     log = Lineage("log", "k", "0.1", {}, {"steps": 5, "puzzles": ["a", "b"]}, [])
     release = Lineage("release", "k", "0.2", {"numpy": "2"}, {"content": "f" * 64}, [Parent("d" * 64, {}, log)])
-    text = text_of(lineage("Lineage", release, {}))
+    text = lineage("Lineage", release, {})
     rows = [line for line in text.splitlines() if line.startswith("|")]
     assert any("release" in row and "this one" in row and "0.2" in row for row in rows)
     assert any("· log" in row and "d" * 12 in row and "d" * 13 not in row for row in rows)
@@ -55,11 +51,11 @@ def test_lineage_names_every_ancestor() -> None:
 
 
 def test_one_file_has_no_lineage() -> None:
-    assert "| file | a\\_b |" in text_of(lineage("Lineage", None, {"file": "a_b"}))
+    assert "| file | a\\_b |" in lineage("Lineage", None, {"file": "a_b"})
 
 
 def test_of_very_many_settings_the_first_are_shown() -> None:
-    text = text_of(settings("log", {}, {f"setting{i}": i for i in range(1000)}))
+    text = settings("log", {}, {f"setting{i}": i for i in range(1000)})
     assert "| setting499 | 499 |" in text
     assert "| setting500 |" not in text
     assert "| … | 500 more are in the file |" in text
