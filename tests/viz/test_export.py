@@ -71,7 +71,7 @@ def test_the_page_names_the_steps_and_the_counts(make_log: MakeLog) -> None:
     assert heading.endswith("steps 0 to 0, 0.0 s")
     (reward,) = next(axes for axes in figure.axes if axes.get_title("left") == "intrinsic reward").get_lines()
     assert np.ptp(reward.get_xdata()) == 1
-    (bar,) = (axes for axes in figure.axes if axes.get_xlabel().startswith("steps (grey"))
+    (bar,) = (axes for axes in figure.axes if axes.get_xlabel().startswith("steps (hatched"))
     assert not any("$" in label.get_text() for label in bar.get_xticklabels(which="both"))
 
 
