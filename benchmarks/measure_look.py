@@ -24,7 +24,7 @@ from rich.table import Table
 from gym_open.agents.config import EncoderConfig
 from gym_open.agents.encoder import Encoder
 from gym_open.envs import constants as c
-from gym_open.envs.observation.raycast import Picture
+from gym_open.envs.observation.raycast import Image
 from gym_open.envs.observation.scene import Scene
 from gym_open.envs.options import CameraOptions, WorldOptions
 from gym_open.envs.physics.model import INVENTORY, build_model
@@ -93,13 +93,13 @@ def show(layouts: Layouts, camera: CameraOptions, supersampling: int) -> tuple[n
     sizes = np.empty(len(images))
     for i, (qpos, present) in enumerate(zip(*layouts, strict=True)):
         scene.load(data, present, recolour_hits=False)
-        picture = scene.picture(qpos, hit)
+        picture = scene.image(qpos, hit)
         images[i] = shrunk(picture, supersampling)
         sizes[i] = (picture.label == agent).sum() / supersampling**2
     return images, sizes
 
 
-def shrunk(picture: Picture, by: int) -> np.ndarray:
+def shrunk(picture: Image, by: int) -> np.ndarray:
     """The colours, `by` × `by` pixels averaged."""
     n = len(picture.rgb) // by
     return np.round(picture.rgb.reshape(n, by, n, by, 3).mean(axis=(1, 3))).astype(np.uint8)

@@ -14,7 +14,7 @@ from gym_open.envs.constants import COLUMNS, ROWS
 from gym_open.envs.puzzles import CUBES, SIDES, TASKS, Cell, Puzzle, Task, block, pen_wall_cells, ramp_cells
 from gym_open.envs.puzzles.sets import SPLITS, Split, puzzles_of
 from gym_open.envs.puzzles.witnesses import witnesses_of
-from gym_open.envs.tasks import PAY, step_budget
+from gym_open.envs.tasks import REWARDS, step_budget
 from gym_open.evaluate.play import replay
 from gym_open.evaluate.scores import summarise
 
@@ -59,12 +59,12 @@ def grid_path(puzzle: Puzzle) -> list[tuple[float, int]] | None:
         assert to_foot is not None
         at, moves = (pen.row + 3 * i, pen.column + 3 * j), to_foot + 4
     for kind in ("green", "yellow"):
-        if kind in PAY[puzzle.task]:
+        if kind in REWARDS[puzzle.task]:
             way = grid_distance(blocked, at, cells[kind])
             if way is None:
                 return None
             at, moves = cells[kind], moves + way
-            path.append((PAY[puzzle.task][kind], moves))
+            path.append((REWARDS[puzzle.task][kind], moves))
     return path
 
 

@@ -1,6 +1,6 @@
-"""Strict, frozen configuration: one type a stage, read from TOML and changed by options.
+"""Strict, frozen configuration: one type per stage, read from TOML and changed by command-line options.
 
-An unknown key, a value of the wrong type or out of bounds is refused by name before any work starts.
+An unknown key, or a value of the wrong type or out of bounds, is refused before any work starts; the error names it.
 """
 
 import difflib
@@ -27,13 +27,13 @@ _WORDS: dict[str, str] = {}
 
 
 def matching(pattern: str, words: str) -> Meta:
-    """Bound of a text: what it must match, and what to call that when it does not."""
+    """Constraint on a text: the pattern that it must match, and the words that describe the pattern in an error."""
     _WORDS[pattern] = words
     return Meta(pattern=pattern)
 
 
 class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Base of every stage's configuration."""
+    """Base class of every stage's configuration."""
 
 
 C = TypeVar("C", bound=Config)
@@ -46,13 +46,13 @@ def load(path: Path, kind: type[C]) -> C:
     """Read a configuration of type `kind` from the TOML file at `path`.
 
     Raises:
-        ConfigError: if the file cannot be read, is not TOML, or holds a key or value that `kind` refuses.
+        ConfigError: if the file cannot be read, is not TOML, or holds a key or value that `kind` does not allow.
     """
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise ConfigError(
-            f"{path}: no such configuration file; give one that is there (`gym-open init` makes the default ones)"
+            f"{path}: no such configuration file; give an existing one (`gym-open init` makes the default ones)"
         ) from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror or error}); give a TOML file") from None
@@ -65,7 +65,7 @@ def decode(raw: dict[str, Any], kind: type[C], *, source: str) -> C:
     """Turn plain data into a configuration of type `kind`; `source` is named in errors.
 
     Raises:
-        ConfigError: naming the source, the key, what was expected and what came.
+        ConfigError: if the data does not fit; names the source, the key, the expected value and the found value.
     """
     try:
         return msgspec.convert(raw, kind, strict=True)
@@ -74,12 +74,12 @@ def decode(raw: dict[str, Any], kind: type[C], *, source: str) -> C:
 
 
 def check(config: C, *, source: str) -> C:
-    """Check bounds of a configuration that was built in Python or from options (types become values there)."""
+    """Check a configuration that was built in Python or from options: constructors check neither types nor bounds."""
     return decode(to_dict(config), type(config), source=source)
 
 
 def to_dict(config: Config) -> dict[str, Any]:
-    """All of the configuration, defaults included, as plain JSON-ready data."""
+    """The whole configuration, with its defaults, as plain data that JSON can hold."""
     return msgspec.to_builtins(config)
 
 
@@ -95,7 +95,7 @@ def _explain(message: str, raw: dict[str, Any], kind: type[Config]) -> str:
         return f"unknown key `{'.'.join([*keys, key])}`; {hint}"
     for pattern, words in _WORDS.items():
         text = text.replace(f"`str` matching regex {pattern!r}", words)
-    if not keys:  # a check of the whole: it names what it found
+    if not keys:  # a check of the whole configuration: its message names the fields
         return text
     value: Any = raw
     for key in keys:

@@ -1,4 +1,4 @@
-"""Errors that a person can act on. Each carries the exit code that the command ends with."""
+"""Errors with a remedy. Each class holds the exit code of the command that it ends."""
 
 from typing import ClassVar
 
@@ -10,26 +10,26 @@ class GymOpenError(Exception):
 
 
 class UsageError(GymOpenError):
-    """The command was used wrongly: nothing was started (exit code 2)."""
+    """The command was used wrongly, and no work was started (exit code 2)."""
 
     exit_code: ClassVar[int] = 2
 
 
 class MissingExtraError(UsageError, ModuleNotFoundError):
-    """A package that only some parts of gym-open need is not installed; `name` is its module."""
+    """An optional package is not installed; `name` is its module."""
 
 
 class ConfigError(UsageError):
-    """A configuration holds an unknown, ill-typed or out-of-range value."""
+    """A configuration holds an unknown key, or a value of the wrong type or out of range."""
 
 
 class DivergedError(GymOpenError):
-    """What a network gives is no longer finite: its weights are beyond repair."""
+    """The outputs of a network are not finite any more: its weights cannot be repaired."""
 
 
 class ArtefactError(GymOpenError):
-    """An artefact on disk is missing, damaged, or not what was asked for."""
+    """An artefact on disk is missing, damaged, or of another kind than was asked for."""
 
 
 class RefusedError(ArtefactError):
-    """What was made must not be kept, since something in it is not true."""
+    """A new artefact must not be kept, because it holds something untrue."""

@@ -1,7 +1,7 @@
-"""Optional parts of gym-open: which packages each needs, and what to say where one is not installed.
+"""Optional parts of gym-open: the packages that each part needs, and the error if one is not installed.
 
-`pip install gym-open` installs the world alone. `pip install 'gym-open[train]'` adds an *extra*; `pyproject.toml` lists
-them, docs/installing.md says what each is for.
+`pip install gym-open` installs only the world. `pip install 'gym-open[train]'` adds an *extra*. `pyproject.toml` lists
+the extras, and docs/installing.md explains the purpose of each.
 """
 
 from importlib.util import find_spec
@@ -21,7 +21,7 @@ MODULES = {
     "minari": ("minari",),
     "lerobot": ("lerobot",),
 }
-"""Modules that come with each extra."""
+"""Modules that each extra installs."""
 RESTS_ON = {
     "build": "releases",
     "train": "build",
@@ -31,14 +31,14 @@ RESTS_ON = {
     "minari": "releases",
     "lerobot": "releases",
 }
-"""The extra that an extra brings along."""
+"""The other extra that an extra includes."""
 
 
 def check(*extras: str) -> None:
-    """Find the packages of these extras, and of the extras that they bring along. Nothing is imported.
+    """Check that the packages of these extras, and of the extras that they include, are installed. Import nothing.
 
     Raises:
-        MissingExtraError: naming the packages that are not installed, and the command that installs them.
+        MissingExtraError: if packages are not installed; names them, and the command that installs them.
     """
     missing = sorted(name for extra in _closed(extras) for name in MODULES[extra] if find_spec(name) is None)
     if missing:
@@ -46,16 +46,16 @@ def check(*extras: str) -> None:
 
 
 def _closed(extras: tuple[str, ...]) -> set[str]:
-    """These extras, and all that they bring along."""
+    """These extras, and all extras that they include."""
     below = tuple(RESTS_ON[extra] for extra in extras if extra in RESTS_ON)
     return {*extras, *_closed(below)} if below else set(extras)
 
 
 class Named:
-    """`with Named():` an import that fails for want of an extra says which.
+    """Context manager: an import that fails because an extra is not installed names the extra.
 
     Raises:
-        MissingExtraError: in place of `ModuleNotFoundError`, if an extra has the module.
+        MissingExtraError: instead of `ModuleNotFoundError`, if an extra installs the module.
     """
 
     def __enter__(self) -> None:
@@ -64,7 +64,7 @@ class Named:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Look at what was raised."""
+        """Replace the error if an extra installs the missing module."""
         if not isinstance(error, ModuleNotFoundError) or isinstance(error, MissingExtraError):
             return
         name = (error.name or "").partition(".")[0]

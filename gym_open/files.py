@@ -1,4 +1,4 @@
-"""Files written whole or not at all, hashed, and folders that one process writes at a time."""
+"""Write files whole or not at all, hash them, and lock folders so that one process writes at a time."""
 
 import errno
 import fcntl
@@ -13,22 +13,22 @@ from typing import IO
 from gym_open.errors import ArtefactError, UsageError
 
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-"""What writing to a full disk raises, often without the file's name."""
+"""Error numbers of writing to a full disk; such errors often lack the file's name."""
 
 
 def sha256_file(path: Path) -> str:
-    """SHA-256 of a file's bytes, in hex."""
+    """SHA-256 of a file, in hex."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def read_regular(path: Path, most: int, *, tail: bool = False) -> bytes:
-    """The first bytes of a file, at most `most`; or the last ones, if `tail`.
+    """Read at most `most` bytes of a regular file: the first ones, or the last ones if `tail`.
 
     Raises:
-        OSError: if it cannot be read, or is a link or no regular file, which may have no end or make one wait.
+        OSError: if the file cannot be read, or is a link or not a regular file, which may be endless or may block.
     """
-    with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:  # noqa: PTH123  (no path)
+    with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:  # noqa: PTH123  (a file descriptor)
         status = os.fstat(file.fileno())
         if not stat.S_ISREG(status.st_mode):
             raise OSError(errno.EINVAL, "not a regular file", str(path))
@@ -37,10 +37,10 @@ def read_regular(path: Path, most: int, *, tail: bool = False) -> bytes:
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file beside, flush it to disk, then rename: readers see the old bytes or the new, never half.
+    """Write a temporary file, flush it to disk, then rename it: readers see the old bytes or the new ones, never a mixture.
 
     Raises:
-        ArtefactError: if it cannot be written, as on a full disk; what was there before is kept.
+        ArtefactError: if the file cannot be written, for example on a full disk; the old file stays.
     """
     beside = path.with_name(f".{path.name}.tmp")
     try:
@@ -57,7 +57,7 @@ def write_atomically(path: Path, data: bytes) -> None:
 
 
 def unwritable(path: Path, error: OSError) -> ArtefactError:
-    """What to raise where `path` could not be written: it says why, and what to do."""
+    """The error to raise if `path` could not be written, with the reason and the remedy."""
     return ArtefactError(
         f"{path}: cannot be written ({error.strerror or error}); what was there before is kept: make room, or make its "
         "folder writable, then run the same command again"
@@ -66,10 +66,10 @@ def unwritable(path: Path, error: OSError) -> ArtefactError:
 
 @contextmanager
 def lock(out: Path) -> Iterator[None]:
-    """Hold `out` against other processes, by a file beside it; the folder that both are in is made.
+    """Lock `out` against other processes, by a file next to it. The parent folder is made if it is missing.
 
     Raises:
-        UsageError: if another process holds it, or nothing can be written there.
+        UsageError: if another process holds the lock, or nothing can be written there.
         ArtefactError: if the disk is full.
     """
     with _mark(out) as file:

@@ -1,4 +1,4 @@
-"""What a result was computed on, for records that people compare."""
+"""The hardware that computed a result, and the cores that this process may use."""
 
 import os
 import platform
@@ -9,7 +9,7 @@ from gym_open.errors import ConfigError
 
 
 def hardware(threads: int, device: str = "cpu") -> dict[str, str | int]:
-    """Processor, cores of this machine, threads that were used, and the device: "cpu", or the name of the GPU."""
+    """The processor, the cores of this machine, the threads used, and the device: "cpu", or the name of the GPU."""
     name = device
     if device == "cuda":
         import torch
@@ -19,19 +19,19 @@ def hardware(threads: int, device: str = "cpu") -> dict[str, str | int]:
 
 
 def check_device(device: str) -> None:
-    """Raise ConfigError if the networks are to be on a GPU, and PyTorch finds none."""
+    """Raise ConfigError if the configuration asks for a GPU and PyTorch finds none."""
     if device == "cuda":
         import torch
 
         if not torch.cuda.is_available():
-            raise ConfigError(f"key `device`: {device!r} asks for a GPU, and PyTorch finds none here; give 'cpu'")
+            raise ConfigError(f"key `device`: {device!r} asks for a GPU, but PyTorch finds none here; give 'cpu'")
 
 
 def usable_cores(groups: Path = Path("/sys/fs/cgroup")) -> int:
-    """Cores that this process may use: those it may run on, or fewer if its control group has less time than that.
+    """Number of cores that this process may use: its processor affinity, or fewer if its control group limits it further.
 
     Args:
-        groups: where Linux shows control groups, of version 1 or 2.
+        groups: folder where Linux shows control groups, of version 1 or 2.
     """
     found = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     for folder in (groups, groups / "cpu"):

@@ -1,7 +1,7 @@
-"""The arithmetic in which networks compute: bf16 where the processor multiplies it natively, else fp32.
+"""The number format in which networks compute: bf16 if the processor multiplies it natively, else fp32.
 
-A processor without bf16 instructions emulates them, and is then about ten times slower than in fp32. So the default
-setting, `auto`, asks the processor. Weights, losses and gradients' sums are fp32 in both.
+A processor without bf16 instructions emulates them, which is about ten times slower than fp32. The default setting,
+`auto`, therefore asks the processor. Weights, losses and sums of gradients are fp32 in both precisions.
 """
 
 import functools
@@ -14,24 +14,24 @@ from gym_open.files import write_atomically
 from gym_open.progress import console
 
 Precision = Literal["fp32", "bf16"]
-"""Arithmetic of a network."""
+"""Number format in which a network computes."""
 PrecisionSetting = Literal["auto", "fp32", "bf16"]
-"""What a configuration asks for."""
+"""Setting in a configuration."""
 FILE = "precision"
-"""Beside the checkpoints of an unfinished run: the precision in which it began."""
+"""File with the checkpoints of an unfinished run: the precision in which the run began."""
 
 
 @functools.cache
 def native_precision(device: str = "cpu") -> Precision:
     """`bf16` if `device` ("cpu" or "cuda") multiplies it natively, else `fp32`.
 
-    On a CPU the limits that the environment sets count too (ONEDNN_MAX_CPU_ISA): they decide which instructions run.
+    On a CPU, environment variables such as ONEDNN_MAX_CPU_ISA count too: they limit the instructions that run.
     """
     import torch
 
     if device == "cuda":
         return "bf16" if torch.cuda.is_bf16_supported(including_emulation=False) else "fp32"
-    # oneDNN, which computes the layers, says yes to every AVX-512 processor, although it emulates bf16 on those without
+    # oneDNN computes the layers. It claims bf16 for every AVX-512 processor, although it emulates bf16 on those without
     # the instructions. On Arm it asks the processor.
     usable = torch.backends.mkldnn.is_available() and torch.ops.mkldnn._is_mkldnn_bf16_supported()  # noqa: SLF001
     return "bf16" if usable and (_is_arm() or _has_bf16_instructions()) else "fp32"
@@ -42,7 +42,7 @@ def _is_arm() -> bool:
 
 
 def _has_bf16_instructions() -> bool:
-    """Whether an x86-64 processor has AVX-512-BF16 or AMX; torch asks it by the instruction `cpuid`."""
+    """Whether an x86-64 processor has AVX-512-BF16 or AMX, by the instruction `cpuid`."""
     import torch
 
     return torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported()  # noqa: SLF001
@@ -54,12 +54,12 @@ def resolve(setting: PrecisionSetting, device: str = "cpu") -> Precision:
 
 
 def settle(setting: PrecisionSetting, device: str, scratch: Path) -> Precision:
-    """The precision of a run, which stays the same until the run ends, also if a kill interrupts it.
+    """Decide the precision of a run. It stays the same until the run ends, also if the run is killed and resumed.
 
     Args:
-        setting: what the configuration asks for.
-        device: where the network computes.
-        scratch: folder for what a resume needs. The run that begins writes its precision there, a resumed run reads it.
+        setting: the precision in the configuration.
+        device: "cpu" or "cuda", where the network computes.
+        scratch: folder of the files for a resume. A new run writes its precision there, and a resumed run reads it.
 
     Raises:
         ArtefactError: if the record in `scratch` is damaged.

@@ -1,4 +1,4 @@
-"""Signals that end a process, and children that end with their parent, however it ends."""
+"""Signals that end a process, and child processes that end with their parent, however it ends."""
 
 import ctypes
 import signal
@@ -14,13 +14,13 @@ _LIBC = ctypes.CDLL(None)
 
 @contextmanager
 def interruptible() -> Iterator[Callable[[], bool]]:
-    """SIGTERM and SIGHUP raise KeyboardInterrupt, as Ctrl-C does; only in the main thread.
+    """Context manager: SIGTERM and SIGHUP raise KeyboardInterrupt, as Ctrl-C does. It works only in the main thread.
 
-    Yields a function that tells whether one of the three came. Code that waits without an end asks it: a library may
-    have swallowed the exception, as happened once while Rerun 0.41 took data.
+    It yields a function that returns whether one of the three signals arrived. An endless loop must call that function:
+    a library may have swallowed the exception, as Rerun 0.41 once did while it received data.
     """
     came: list[int] = []
-    if threading.current_thread() is not threading.main_thread():  # only that one may say what a signal does
+    if threading.current_thread() is not threading.main_thread():  # only the main thread may set signal handlers
         yield lambda: False
         return
 
@@ -40,6 +40,6 @@ def interruptible() -> Iterator[Callable[[], bool]]:
 
 
 def end_with_parent() -> None:
-    """In a child: be ended when the parent dies, even if that is killed outright. Only Linux has such a thing."""
+    """Call this in a child process: the system ends it when its parent dies, even by SIGKILL. Only Linux can do this."""
     if sys.platform == "linux":
         _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

@@ -1,10 +1,10 @@
-"""What a person sees while work goes on: how far it is, how fast, and how long it still takes.
+"""Progress of work, for people: units done, speed, and remaining time.
 
-On a terminal that is a bar. In a pipe, in a file or in CI it is lines: one when work starts, one every ten seconds, and
-one when it ends. Both go to standard error.
+On a terminal, progress is a bar. In a pipe, a file or CI, it is lines: one when work starts, one every ten seconds, and
+one when work ends. Both go to standard error.
 
-A process whose environment names a file in GYM_OPEN_PROGRESS also writes there, about once a second, how far its bar
-is: so many processes side by side can be watched.
+If the environment variable GYM_OPEN_PROGRESS names a file, a process also writes its progress there, about once per
+second. Another process can thus watch many processes at a time.
 """
 
 import os
@@ -37,24 +37,24 @@ from gym_open.files import read_regular
 console = Console(stderr=True)
 
 EVERY = 10.0
-"""Seconds between two lines about the same work."""
+"""Seconds between two progress lines of the same work."""
 COMPILES = "the first time on a machine, code is compiled: about a minute"
-"""Why what first opens a world or a network may take long."""
+"""The reason why opening the first world or network may take long."""
 FILE = "GYM_OPEN_PROGRESS"
-"""Environment variable that names the file in which a process says how far it is."""
+"""Environment variable that names the file into which a process writes its progress."""
 _INTERVAL = 1.0
 """Seconds between two writes of that file."""
 _MAX_BYTES = 4096
-"""Of that file that are read."""
+"""Largest number of bytes that are read from that file."""
 
 
 def on_terminal() -> bool:
-    """Whether bars can be drawn. CI may ask for colours, but its standard error is still no terminal."""
+    """Whether bars can be drawn. CI may force colours, although its standard error is no terminal."""
     return console.is_jupyter or (console.is_terminal and not console.is_dumb_terminal and console.file.isatty())
 
 
 def write(line: str) -> None:
-    """Write a line to standard error at once. Whoever has stopped reading there does not stop the work."""
+    """Write a line to standard error at once. Work goes on if nobody reads standard error any more."""
     if not console.quiet:
         with suppress(OSError, ValueError):  # ValueError: the stream is closed
             console.file.write(f"{line}\n")
@@ -62,7 +62,7 @@ def write(line: str) -> None:
 
 
 def duration(seconds: float) -> str:
-    """Seconds in words that stay short: 12 s, 3 min, 2 h 05 min."""
+    """A duration in a short form: 12 s, 3 min, 2 h 05 min."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60)
@@ -70,30 +70,30 @@ def duration(seconds: float) -> str:
 
 
 class Progressed(msgspec.Struct, frozen=True):
-    """How far a process is."""
+    """Progress of a process."""
 
     done: int
     total: int
     rate: float
-    """Units a second since the bar was begun; 0 if nothing is known yet."""
+    """Units per second since the bar was begun; 0 if unknown."""
 
     @classmethod
     def read(cls, path: Path) -> "Progressed | None":
-        """What the file at `path` says, or None if it says nothing that can be read."""
+        """Read the file at `path`; None if it is missing or damaged."""
         try:
             return msgspec.json.decode(read_regular(path, _MAX_BYTES), type=cls)
         except (OSError, msgspec.DecodeError):
             return None
 
 
-class _Shown(Protocol):
-    """Something that is told how far a bar is."""
+class _Display(Protocol):
+    """A display of a bar's progress."""
 
     def advance(self, amount: int, note: str | None) -> None: ...
 
 
-class _File:
-    """Writes how far a bar is into a file, now and then: a watcher must never slow or stop the work."""
+class _ProgressFile:
+    """Writes a bar's progress into a file, at intervals: the file must never slow or stop the work."""
 
     def __init__(self, path: Path, done: int, total: int) -> None:
         self.path, self.done, self.total = path, done, total
@@ -102,7 +102,7 @@ class _File:
         self.advance(0, None)
 
     def advance(self, amount: int, note: str | None) -> None:
-        """Count `amount` units, and write if it is time to."""
+        """Count `amount` units, and write if the interval has passed."""
         del note
         self.done += amount
         now = time.monotonic()
@@ -117,16 +117,16 @@ class _File:
 
 
 class Lines:
-    """Says in lines how far a bar is: when it is made, when it is told to, and at the end.
+    """Writes a bar's progress in lines: one when it is made, one per call of `now`, and one at the end.
 
-    One thread may count while another asks for a line.
+    One thread may count while another calls `now`.
 
     Args:
-        title: what goes on.
+        title: name of the work.
         total: units of work.
-        done: of these, units that an earlier process has done. They do not count as speed.
-        tell: takes a line.
-        clock: gives seconds since any fixed time.
+        done: units that an earlier process has done. They do not count for the speed.
+        tell: writes a line.
+        clock: returns seconds since any fixed time.
     """
 
     def __init__(
@@ -139,12 +139,12 @@ class Lines:
         tell(f"{title}: {'goes on at ' if done else ''}{done:,} of {total:,}")
 
     def advance(self, amount: int, note: str | None) -> None:
-        """Count `amount` units; a `note` stays until the next one."""
+        """Count `amount` units; a `note` stays until the next note."""
         self._done += amount
         self._note = self._note if note is None else note
 
     def now(self) -> None:
-        """Say how far it is."""
+        """Write a line with the progress."""
         done, rate = self._done, self._rate()
         parts = [f"{done:,} of {self._total:,} ({done / max(self._total, 1):.0%})"]
         if rate:
@@ -152,7 +152,7 @@ class Lines:
         self._say(parts)
 
     def end(self) -> None:
-        """Say what was done in what time."""
+        """Write a line with the units done and the time taken."""
         seconds, rate = self._clock() - self._started, self._rate()
         took = duration(seconds) if seconds >= 10 else f"{seconds:.1f} s"
         parts = [f"{self._done:,} of {self._total:,} in {took}"]
@@ -166,7 +166,7 @@ class Lines:
 
 
 class Waiting:
-    """Says in lines how long something without a count has been going on; arguments as in `Lines`."""
+    """Writes in lines how long work without a count has been going on; arguments as in `Lines`."""
 
     def __init__(
         self, title: str, hint: str = "", *, tell: Callable[[str], None] = write,
@@ -176,11 +176,11 @@ class Waiting:
         self._tell, self._clock, self._started = tell, clock, clock()
 
     def now(self) -> None:
-        """Say it."""
+        """Write a line."""
         self._tell(f"{self._title}: {duration(self._clock() - self._started)} so far{self._why}")
 
 
-class _Drawn:
+class _DrawnBar:
     """A bar on a terminal."""
 
     def __init__(self, progress: Progress, task: TaskID) -> None:
@@ -194,38 +194,38 @@ class _Drawn:
 
 
 class Bar:
-    """How far some work is; `note` is a short live text (a loss, a score)."""
+    """Progress of some work, on all its displays."""
 
-    def __init__(self, shown: list[_Shown]) -> None:
+    def __init__(self, shown: list[_Display]) -> None:
         self._shown = shown
 
     def advance(self, amount: int = 1, note: str | None = None) -> None:
-        """Move on by `amount` units."""
-        for one in self._shown:
-            one.advance(amount, note)
+        """Count `amount` units; `note` is a short text about the work, such as a loss or a score."""
+        for display in self._shown:
+            display.advance(amount, note)
 
 
 @contextmanager
 def bar(title: str, total: int, *, done: int = 0) -> Iterator[Bar]:
-    """Show a bar of `total` units titled `title`, `done` of them already behind us (after a resume)."""
+    """Show a bar of `total` units, of which `done` were already done before (after a resume)."""
     file = os.environ.get(FILE)
-    shown: list[_Shown] = [_File(Path(file), done, total)] if file else []
+    shown: list[_Display] = [_ProgressFile(Path(file), done, total)] if file else []
     with ExitStack() as stack:
         if on_terminal():
             shown.append(stack.enter_context(_drawn(title, total, done)))
             yield Bar(shown)
             return
         lines = Lines(title, total, done=done)
-        with _again_and_again(lines.now):
+        with _repeatedly(lines.now):
             yield Bar([*shown, lines])
-        lines.end()  # not after an error, which says more
+        lines.end()  # not after an error, whose message is more important
 
 
 @contextmanager
 def doing(title: str, hint: str = "") -> Iterator[None]:
-    """Say what goes on while nothing can be counted. The `hint` says why it may take long.
+    """Show that work without a count goes on. The `hint` explains why it may take long.
 
-    Nothing else may be printed meanwhile.
+    Nothing else may be printed during the work.
     """
     if not on_terminal():
         write(f"{title} …")
@@ -242,23 +242,23 @@ def doing(title: str, hint: str = "") -> Iterator[None]:
 
 @contextmanager
 def stage(title: str, hint: str = "") -> Iterator[None]:
-    """Where there is no terminal, say every ten seconds that work goes on, as long as no bar says more."""
+    """Without a terminal, write a line every ten seconds while work goes on, unless a bar inside does so."""
     if on_terminal():
         yield
         return
-    with _again_and_again(Waiting(title, hint).now):
+    with _repeatedly(Waiting(title, hint).now):
         yield
 
 
 _talking: list[object] = []
-"""What says a line every ten seconds; of several, one inside the other, only the innermost does."""
+"""Writers of a line every ten seconds, from the outermost to the innermost; only the innermost writes."""
 _turn = threading.Lock()
-"""To say a line, and to become or cease to be the innermost."""
+"""Held to write a line, and to add or remove a writer."""
 
 
 @contextmanager
-def _again_and_again(say: Callable[[], None]) -> Iterator[None]:
-    """Call `say` every `EVERY` seconds, in a thread of its own, unless something inside does the same."""
+def _repeatedly(say: Callable[[], None]) -> Iterator[None]:
+    """Call `say` every `EVERY` seconds in a separate thread, unless another writer inside does the same."""
     me, over = object(), threading.Event()
 
     def wait() -> None:
@@ -281,7 +281,7 @@ def _again_and_again(say: Callable[[], None]) -> Iterator[None]:
 
 
 def speed(rate: float) -> str:
-    """Units a second in words: 331/s, 4.2/s, 0.03/s."""
+    """A speed in units per second as text: 331/s, 4.2/s, 0.03/s."""
     return f"{rate:,.0f}/s" if rate >= 10 else f"{rate:.1f}/s" if rate >= 1 else f"{rate:.1g}/s"
 
 
@@ -292,7 +292,7 @@ class _Rate(ProgressColumn):
 
 
 @contextmanager
-def _drawn(title: str, total: int, done: int) -> Iterator[_Drawn]:
+def _drawn(title: str, total: int, done: int) -> Iterator[_DrawnBar]:
     def fixed(width: int) -> Column:
         return Column(min_width=width, no_wrap=True)
 
@@ -305,4 +305,4 @@ def _drawn(title: str, total: int, done: int) -> Iterator[_Drawn]:
         TextColumn("{task.fields[note]}", table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1)),
     )
     with Progress(*columns, console=console) as progress:
-        yield _Drawn(progress, progress.add_task(title, total=total, completed=done, note=""))
+        yield _DrawnBar(progress, progress.add_task(title, total=total, completed=done, note=""))

@@ -1,6 +1,6 @@
-"""What a command says: text that is only ever shown, and who it is said to.
+"""The output of a command: text for a person, or records for a program.
 
-What comes from a file, a path or a person goes through `printable` or `markup`, so that it steers no terminal.
+Text from a file, a path or a person passes through `printable` or `markup`, so that it cannot control the terminal.
 """
 
 import json
@@ -15,14 +15,14 @@ from rich.text import Text
 
 
 def printable(text: str) -> str:
-    r"""The text with every character that shows nothing as its escape (`\x1b`), new lines aside: it steers nothing."""
+    r"""The text, in which each unprintable character except a new line is replaced by its escape (`\x1b`)."""
     return "".join(
         c if c == "\n" or c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode() for c in text
     )
 
 
 def markup(text: str) -> str:
-    """As `printable`, for rich: it finds no markup of its own in it."""
+    """As `printable`, for rich: the text holds no rich markup."""
     return escape(printable(text))
 
 
@@ -53,12 +53,12 @@ def titled_table(
 
 
 class Voice:
-    """How a command speaks.
+    """The output of a command.
 
     Attributes:
-        console: what a person reads: standard output, or standard error if a program reads standard output.
-        quiet: a person reads results alone.
-        json: a program reads records.
+        console: for a person: standard output, or standard error if a program reads standard output.
+        quiet: whether the command prints only results.
+        json: whether a program reads records.
     """
 
     def __init__(self, console: Console) -> None:
@@ -66,22 +66,22 @@ class Voice:
         self.quiet = self.json = False
 
     def choose(self, *, quiet: bool, json: bool) -> None:
-        """Speak like this from now on."""
+        """Set `quiet` and `json`."""
         self.quiet, self.json = quiet, json
         self.console.quiet, self.console.stderr = quiet, json
 
     def say(self, text: str, *, verb: str = "") -> None:
-        """Print a text as it is, paths and all: nothing in it is markup. A `verb` comes before it, in green."""
+        """Print a text without interpreting markup in it. A `verb` comes first, in green."""
         words = Text.assemble((verb, "bold green"), " " if verb else "", printable(text))
         self.console.print(words, soft_wrap=True)
 
     def result(self, text: str, *, verb: str = "") -> None:
-        """As `say`, for what came of a command: the one line that is left when it is quiet, unless records say it."""
+        """Print the result of a command, as `say` does, also if the command is quiet; not if it is quiet and prints records."""
         self.console.quiet = self.quiet and self.json
         self.say(text, verb=verb)
         self.console.quiet = self.quiet
 
     def record(self, record: Mapping[str, Any]) -> None:
-        """Print a line of JSON on standard output at once, if a program reads it."""
+        """If a program reads records, print this one at once: one line of JSON on standard output."""
         if self.json:
             print(json.dumps(record), flush=True)

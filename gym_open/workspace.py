@@ -1,4 +1,4 @@
-"""A workspace: a folder with the five stage folders. The repository root is one; `gym-open init` makes another."""
+"""A workspace: a folder that holds the five stage folders. `gym-open init` makes one; the repository root is one too."""
 
 import shutil
 from pathlib import Path
@@ -19,21 +19,21 @@ IGNORED = (
     "viz/recordings/",
     "viz/figures/",
 )
-"""What the stages write by default."""
+"""Folders that the stages write to by default."""
 
 
 def template() -> Path:
-    """The folder that holds the stage folders to copy: in the installed wheel, or the repository root."""
+    """The folder whose stage folders are copied: inside the installed wheel, or the repository root."""
     package = Path(__file__).parent
     packaged = package / "_workspace"
     return packaged if packaged.is_dir() else package.parent
 
 
 def init(target: Path) -> list[Path]:
-    """Make a workspace at `target` with the default configurations and return the files written.
+    """Make a workspace with the default configurations at `target`, and return the files written.
 
     Raises:
-        UsageError: if a stage folder is already there (nothing is written then).
+        UsageError: if a stage folder exists already; nothing is written then.
     """
     if taken := [stage for stage in STAGES if (target / stage).exists()]:
         raise UsageError(
@@ -56,7 +56,7 @@ def check(root: Path) -> Path:
     """Return `root` if it is a workspace.
 
     Raises:
-        UsageError: naming the folder that is missing and how to make a workspace.
+        UsageError: if a stage folder is missing; names it, and the command that makes a workspace.
     """
     missing = next((stage for stage in STAGES if not (root / stage).is_dir()), None)
     if missing is not None:

@@ -213,7 +213,7 @@ class OpenEnv(gymnasium.Env[Any, np.int64]):
             from gym_open.envs.look.renderer import Renderer
 
             self._renderer = Renderer(self.world.options, self._render_size)
-        return self._renderer.picture(self.world)
+        return self._renderer.render(self.world)
 
     def close(self) -> None:
         """Give OpenGL's memory back, on the thread that rendered."""

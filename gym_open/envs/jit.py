@@ -1,4 +1,4 @@
-"""Compiling with numba, cached on disk wherever this process may write."""
+"""Compile with numba, and cache the machine code on disk if this process can write there."""
 
 import functools
 import hashlib
@@ -14,10 +14,10 @@ import numba.core.config
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile on first call, without the interpreter lock, and keep the machine code for later processes.
+    """Compile a function at its first call, free of the interpreter lock, and keep the machine code for later processes.
 
-    Where neither the package's folder nor the user's cache folder can be written, a temporary one of the user's own is
-    used; where that is not safe, nothing is kept.
+    If neither the package's folder nor the user's cache folder is writable, a temporary folder of the user holds the
+    machine code. If that folder is not safe, nothing is kept.
     """
     try:
         dispatcher: Any = _compile(function)
@@ -27,8 +27,9 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
             return _compile(function, cache=False)
         numba.core.config.CACHE_DIR = str(own)  # pyright: ignore[reportAttributeAccessIssue]
         dispatcher = _compile(function)
-    # Numba makes it anew when the function's own file changes. But what it calls in other files is in it, too, and what
-    # was kept cannot even be read once a type in it has moved. Another version is left unread, and overwritten.
+    # Numba compiles again when the function's own file changes. But the machine code also holds functions of other
+    # files, and it becomes unreadable when a type in it moves. So a digest of these files is part of the cache's
+    # version: code of another version is not read, but overwritten.
     digests = [source_digest(folder) for folder in (Path(__file__).parent, Path(function.__code__.co_filename).parent)]
     dispatcher._cache._cache_file._version = " ".join([numba.__version__, *digests])  # noqa: SLF001
     return dispatcher
@@ -39,7 +40,7 @@ def _compile(function: Callable[..., Any], *, cache: bool = True) -> Any:
 
 
 def _own_folder() -> Path | None:
-    """A temporary folder that no one else can write to: what is read from it is executed. None if there is none."""
+    """A temporary folder to which only this user can write, since its files are executed; None if there is none."""
     user = os.getuid() if hasattr(os, "getuid") else 0
     folder = Path(tempfile.gettempdir()) / f"gym-open-numba-{user}"
     try:
@@ -53,7 +54,7 @@ def _own_folder() -> Path | None:
 
 @functools.cache
 def source_digest(folder: Path) -> str:
-    """SHA-256 in hex of the files under a folder that hold compiled code, and of where they are."""
+    """SHA-256 in hex of the paths and contents of all files under a folder that hold compiled code."""
     digest = hashlib.sha256()
     for path in sorted(folder.rglob("*.py")):
         text = path.read_bytes()

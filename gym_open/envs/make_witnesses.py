@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from gym_open import progress
-from gym_open.envs.planner import Plan, plan
+from gym_open.envs.planner import Solution, plan
 from gym_open.envs.puzzles import TASKS
 from gym_open.envs.puzzles.make_sets import write_digests
 from gym_open.envs.puzzles.sets import PER_SET, SPLITS, puzzles_of
@@ -18,7 +18,7 @@ from gym_open.envs.world import World
 def main(folder: Path) -> None:
     """Write the witnesses of all sets, and the digests of all files, to `folder`."""
     world = World()
-    plans: list[Plan] = []
+    plans: list[Solution] = []
     for task in TASKS:
         for split in SPLITS:
             with progress.bar(f"{task} {split}", PER_SET) as bar:

@@ -1,6 +1,6 @@
-"""What a person may change about a world, as plain data: objects, camera, light, image, time step, meshes of their own.
+"""Options of a world, as plain data: objects, camera, light, image, timestep, and the user's meshes.
 
-The defaults are the published world, v1. Whatever is changed makes another world: its scores are not comparable.
+The defaults are the published world, v1. Any change makes another world, whose scores are not comparable.
 """
 
 import math
@@ -17,11 +17,11 @@ Vector = tuple[float, float, float]
 Colour = tuple[int, int, int]
 
 MESH: Final = "mesh:"
-"""What the kind of a user's mesh begins with; its name follows."""
+"""Prefix of the kind of a user's mesh; the mesh's name follows."""
 SMALLEST_SIZE: Final = 0.04
-"""Metres across: a smaller thing could pass the pen's wall between two substeps."""
+"""Metres across: a smaller object could pass through the pen's wall between two substeps."""
 LARGEST_SIZE: Final = 0.139
-"""Metres across: things on neighbouring cells must not touch, since they begin asleep."""
+"""Metres across: objects on neighbouring cells must not touch, because they start asleep."""
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 _MASSES = (0.1, 1000.0)
 _FRICTIONS = (0.0, 2.0)
@@ -44,7 +44,7 @@ def _check_range(name: str, value: float, low: float, high: float) -> None:
 
 
 class ObjectOptions(Config, frozen=True, kw_only=True, omit_defaults=True):
-    """How all objects of one kind behave and look; what is None is as in v1.
+    """Physics and look of all objects of one kind. None means the value of v1.
 
     Raises:
         ConfigError: if a value is out of its bounds.
@@ -53,13 +53,13 @@ class ObjectOptions(Config, frozen=True, kw_only=True, omit_defaults=True):
     mass: float | None = None
     """Kilograms, 0.1–1000."""
     friction: float | None = None
-    """Coulomb's coefficient with the table, 0–2; with anything else there is none."""
+    """Coulomb's coefficient with the table, 0–2. There is no friction with anything else."""
     bounciness: float | None = None
-    """0–0.9: two objects keep the mean of theirs of their closing speed, an object and a wall half of the object's."""
+    """0–0.9. Two objects keep the mean of their values as share of their closing speed; a wall counts as 0."""
     size: float | None = None
-    """Metres across, 0.04–0.139: a sphere's diameter, a cube's edge; a rectangle is three times as long."""
+    """Metres across, 0.04–0.139: diameter of a sphere, edge of a cube. A rectangle is three times as long."""
     colour: Colour | None = None
-    """Red, green and blue, 0–255. Where rewards are on, a goal that was touched still turns v1's hit colour."""
+    """Red, green and blue, 0–255. If rewards are on, a touched goal still turns v1's hit colour."""
 
     def __post_init__(self) -> None:
         _check_dynamics("object", self)
@@ -69,7 +69,7 @@ class ObjectOptions(Config, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class MeshObject(Config, frozen=True, kw_only=True, omit_defaults=True):
-    """A kind of object whose shape is the user's: `mesh:NAME` in a puzzle.
+    """A kind of object with a shape from the user: `mesh:NAME` in a puzzle.
 
     Raises:
         ConfigError: if a value is out of its bounds.
@@ -80,14 +80,14 @@ class MeshObject(Config, frozen=True, kw_only=True, omit_defaults=True):
     file: str
     """Path of an OBJ, STL, PLY or GLB file, in metres after scaling, z up (GLB: y up)."""
     count: int = 1
-    """How many of them a puzzle can use, 1–8."""
+    """Largest number of them in a puzzle, 1–8."""
     mass: float = 5.0
     friction: float = c.FRICTION
     bounciness: float = c.BOUNCINESS
     scale: float = 1.0
-    """What the file's lengths are multiplied by."""
+    """Factor on all lengths in the file."""
     colour: Colour | None = None
-    """None: the file's own main colour."""
+    """None means the main colour in the file."""
 
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name):
@@ -99,12 +99,12 @@ class MeshObject(Config, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def kind(self) -> str:
-        """What a puzzle calls it."""
+        """The object's kind in a puzzle."""
         return MESH + self.name
 
 
 class CameraOptions(Config, frozen=True, kw_only=True, omit_defaults=True):
-    """The observing camera.
+    """The camera of the observation.
 
     Raises:
         ConfigError: if a value is out of its bounds.
@@ -113,7 +113,7 @@ class CameraOptions(Config, frozen=True, kw_only=True, omit_defaults=True):
     position: Vector = c.CAMERA_POSITION
     """x, y, z in metres; the table top is z = 0."""
     direction: Vector = c.CAMERA_EULER
-    """Pitch down, yaw to the right of +y, and roll, in degrees, as Unity has them."""
+    """Pitch down, yaw to the right of +y, and roll, in degrees, as in Unity."""
     field_of_view: float = c.FIELD_OF_VIEW
     """Vertical, degrees."""
 
@@ -126,7 +126,7 @@ class CameraOptions(Config, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class LightOptions(Config, frozen=True, kw_only=True, omit_defaults=True):
-    """Where the light comes from.
+    """The direction of the light's source.
 
     Raises:
         ConfigError: if a value is out of its bounds.
@@ -135,7 +135,7 @@ class LightOptions(Config, frozen=True, kw_only=True, omit_defaults=True):
     angle_deg: float = c.LIGHT_ANGLE_DEG
     """Azimuth: counter-clockwise from +x, seen from above."""
     elevation_deg: float = c.LIGHT_ELEVATION_DEG
-    """Above the horizon; 90 is straight from above."""
+    """Angle above the horizon; 90 is vertical."""
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.angle_deg):
@@ -144,27 +144,27 @@ class LightOptions(Config, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def direction(self) -> Vector:
-        """Unit vector in which the light travels."""
+        """Unit vector of the light's direction of travel."""
         return c.light_direction(self.angle_deg, self.elevation_deg)
 
 
 class WorldOptions(Config, frozen=True, kw_only=True, omit_defaults=True):
-    """Everything about a world that can vary. `WorldOptions()` is v1.
+    """All options of a world. `WorldOptions()` is v1.
 
     Raises:
         ConfigError: if a value is out of its bounds, or a kind is unknown.
     """
 
     objects: dict[str, ObjectOptions] = msgspec.field(default_factory=dict[str, ObjectOptions])
-    """By kind, as `constants.CAPACITY` has them; a stack is two light cubes."""
+    """By kind; the kinds are the keys of `constants.CAPACITY`. A stack is two light cubes."""
     camera: CameraOptions = CameraOptions()
     light: LightOptions = LightOptions()
     meshes: tuple[MeshObject, ...] = ()
     image_size: int = c.IMAGE_SIZE
-    """Pixels of the observation's edge."""
+    """Height and width of the observation in pixels."""
     timestep_s: float = c.TIMESTEP_S
     substeps: int = c.SUBSTEPS
-    """Physics steps of one action. A move is one cell long where `timestep_s` × `substeps` is v1's 0.04 s."""
+    """Substeps per step. A move is one cell long if `timestep_s` × `substeps` is v1's 0.04 s."""
 
     def __post_init__(self) -> None:
         if unknown := sorted(set(self.objects) - set(c.CAPACITY)):
@@ -181,7 +181,7 @@ class WorldOptions(Config, frozen=True, kw_only=True, omit_defaults=True):
         return _chosen(self.objects.get(kind), "mass", c.MASS.get(kind))
 
     def friction(self, kind: str) -> float:
-        """Coefficient of friction of a built-in kind with the table: the agent glides."""
+        """Coefficient of friction between a built-in kind and the table: 0 for the agent, which glides."""
         return _chosen(self.objects.get(kind), "friction", 0.0 if kind == "agent" else c.FRICTION)
 
     def bounciness(self, kind: str) -> float:

@@ -18,7 +18,7 @@ import numpy as np
 from gym_open.envs import constants as c
 from gym_open.envs.physics.model import kind_of
 from gym_open.envs.puzzles import SIDES, Pen, Puzzle, PuzzleError
-from gym_open.envs.tasks import PAY, judge, step_budget
+from gym_open.envs.tasks import REWARDS, judge, step_budget
 from gym_open.envs.world import World
 
 REACH = c.MOVE_SPEED * c.CONTROL_DT_S
@@ -35,7 +35,7 @@ SHIFTS_M = (1e-9,) * 2 + (1e-6,) * 2 + (1e-4,) * 4
 """Standard deviations in metres of the shifts of all objects that a sequence should also solve the puzzle under."""
 
 
-class Plan(msgspec.Struct, frozen=True):
+class Solution(msgspec.Struct, frozen=True):
     """What the planner found."""
 
     actions: tuple[int, ...]
@@ -55,7 +55,7 @@ class _Node(msgspec.Struct):
     actions: tuple[int, ...]
 
 
-def plan(puzzle: Puzzle, world: World | None = None) -> Plan:
+def plan(puzzle: Puzzle, world: World | None = None) -> Solution:
     """Find a sequence of actions that earns the puzzle's whole return, with the best A-Success that is found.
 
     Args:
@@ -66,11 +66,11 @@ def plan(puzzle: Puzzle, world: World | None = None) -> Plan:
         PuzzleError: if no solution is found within the searches' limits.
     """
     world = world or World()
-    spare: Plan | None = None
+    spare: Solution | None = None
     total = 0
     for greed in GREED:
         for actions, simulated in _search(world, puzzle, greed):
-            found = Plan(actions, robust=is_robust(world, puzzle, actions), simulated=total + simulated)
+            found = Solution(actions, robust=is_robust(world, puzzle, actions), simulated=total + simulated)
             if found.robust:
                 return found
             spare = spare or found
@@ -117,7 +117,7 @@ def _search(world: World, puzzle: Puzzle, greed: float) -> Iterator[tuple[tuple[
     bound = _Bound(puzzle, greed)
     world.load(puzzle)
     moving = np.flatnonzero(world.present)
-    goals = {world.inventory[i]: i for i in moving if kind_of(world.inventory[i]) in PAY[puzzle.task]}
+    goals = {world.inventory[i]: i for i in moving if kind_of(world.inventory[i]) in REWARDS[puzzle.task]}
     places = world.data.qpos.reshape(-1, 7)
     ties = itertools.count()
     queue: list[tuple[float, int, int, _Node, int]] = []
@@ -161,7 +161,7 @@ class _Bound:
     """The least cost that a node's child may lead to, were nothing in the agent's way but the pen's wall."""
 
     def __init__(self, puzzle: Puzzle, greed: float) -> None:
-        self.pay, self.greed = PAY[puzzle.task], greed
+        self.rewards, self.greed = REWARDS[puzzle.task], greed
         self.pen = puzzle.pen and _Way(puzzle.pen)
 
     def __call__(self, node: _Node, action: int) -> float:
@@ -177,7 +177,7 @@ class _Bound:
                 goal = node.goals[name]
                 if i or _distance_to_way(start, end, goal) > TOUCH:
                     moves += self._moves(at, goal, node.agent[2])
-                total += self.pay[kind_of(name)] * math.log(done + self.greed * moves)
+                total += self.rewards[kind_of(name)] * math.log(done + self.greed * moves)
                 at = goal
             return total
 

@@ -1,4 +1,4 @@
-"""What a policy is told that sees the simulator's state in place of a picture: the ceiling for any encoder."""
+"""The simulator state as a vector, for a policy that sees it instead of images: the upper bound for any encoder."""
 
 from typing import Final
 
@@ -10,19 +10,20 @@ from gym_open.envs.puzzles import SIDES, Patch, Pen
 from gym_open.envs.world import World
 
 _REACH: Final = 5.0 * c.PITCH
-"""Metres that count as 1: about half of the table."""
+"""Unit of positions in metres: about half of the table."""
 
 STATE_SIZE: Final = 5 * len(INVENTORY) + 2 + 7 + 3
 """Numbers in a state vector."""
 
 
 def state_vector(world: World) -> np.ndarray:
-    """Where everything is, (`STATE_SIZE`,) float32.
+    """The simulator state, (`STATE_SIZE`,) float32.
 
-    For each object of the model, in the inventory's order: 1 if it is there, then x, y, z in units of half a table,
-    then 1 if it is a goal that was hit; for one that is not there, zeros. Then the agent's velocity (x, y) in m/s; the
-    pen as 1, its place (x, y) and the side of its ramp, one of four; the danger patch as 1 and its place; zeros
-    without.
+    - For each object of the model, in the inventory's order: 1 if the puzzle has it, then x, y, z in units of half a
+      table, then 1 if it is a goal that was hit. Zeros if the puzzle does not have it.
+    - The agent's velocity (x, y) in m/s.
+    - For the pen: 1, its position (x, y), and the side of its ramp as one of four. Zeros if there is no pen.
+    - For the danger patch: 1 and its position. Zeros if there is no patch.
     """
     n = len(INVENTORY)
     objects = np.zeros((n, 5), np.float32)

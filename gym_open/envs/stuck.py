@@ -1,11 +1,12 @@
-"""Who cannot move: an agent that gets nowhere, an object wedged in a corner of the table. Nothing is done about it.
+"""Detect an agent that cannot move, and objects wedged in a corner of the table. Nothing is reset because of it.
 
-A *push* is an action other than the no-op, which lets no time pass.
+A *push* is any action except the no-op, during which no time passes.
 
-- The agent is stuck when 32 pushes in a row leave it within 2 cm of where it stood, until it gets further. One that
-  merely pushes into a wall is not: it bounces off it by 3 cm.
-- An object is wedged when it has been in a corner for 256 pushes without leaving it, until it does. It is in a corner
-  while the gaps between it and two walls are both narrower than the agent, which then cannot get behind it.
+- The agent becomes stuck when it stays within 2 cm for 32 pushes in a row. It is free again when it gets further. An
+  agent that pushes into a wall is not stuck: it bounces off by 3 cm.
+- An object becomes wedged when it has been in a corner for 256 pushes without a gap. It is free again when it leaves
+  the corner. An object is in a corner while the gaps between it and two walls are both narrower than the agent, which
+  then cannot get behind the object.
 """
 
 import math
@@ -25,9 +26,9 @@ _AGENT = INVENTORY.index("agent")
 _GAP = 2 * RADIUS
 """Width of the agent."""
 _LONGER = np.array([RECTANGLE_LENGTH / 2 - RADIUS if kind_of(name) == "rectangle" else 0.0 for name in INVENTORY])
-"""(objects,) metres by which half the length of an object is more than half its height."""
+"""(objects,) metres: half the length of an object minus half its height."""
 _NEAR_X, _NEAR_Y = WALL_X - RADIUS - _GAP - _LONGER, WALL_Y - RADIUS - _GAP - _LONGER
-"""(objects,) metres from the middle beyond which an object can be in a corner, however it lies."""
+"""(objects,) metres from the table's middle beyond which an object can be in a corner, in any orientation."""
 
 
 class Stuck(msgspec.Struct, frozen=True):
@@ -47,16 +48,16 @@ class Stuck(msgspec.Struct, frozen=True):
 
 
 class Watch(msgspec.Struct):
-    """Watches one world from when a stream enters it until it leaves; plain data, for a checkpoint."""
+    """Watches one world during one segment. It is plain data, for a checkpoint."""
 
     segment: int
-    """Number of the stay within its stream."""
+    """Number of the segment within its stream."""
     place: tuple[float, float, float]
-    """Where the agent was when it was last further than 2 cm from where it had been; metres."""
+    """Position in metres that the agent must leave by more than 2 cm; then its new position replaces it."""
     pushes: int = 0
-    """Since then."""
+    """Pushes since the last such change of `place`."""
     cornered: dict[str, int] = {}
-    """Objects in a corner now, and the pushes after which each was there, without a gap."""
+    """Objects in a corner now, each with its number of pushes there without a gap."""
 
     @property
     def agent(self) -> bool:
@@ -69,14 +70,14 @@ class Watch(msgspec.Struct):
         return [name for name, pushes in self.cornered.items() if pushes >= CORNER_PUSHES]
 
     def push(self, states: np.ndarray, step: int) -> list[Stuck]:
-        """Look at the world after a push.
+        """Update the watch after a push.
 
         Args:
-            states: of all objects, (objects, 13).
-            step: steps that the stream had then taken.
+            states: states of all objects, (objects, 13).
+            step: number of steps that the stream has taken.
 
         Returns:
-            What began or ceased to be stuck.
+            A record for each agent or object that became stuck or free.
         """
         before = self._stuck()
         here = position(states, _AGENT)
@@ -90,7 +91,7 @@ class Watch(msgspec.Struct):
         return ceased + [self._record(name, states, step, began=True) for name in after if name not in before]
 
     def leave(self, states: np.ndarray, step: int) -> list[Stuck]:
-        """What ceases to be stuck, as far as the log goes, because the world is left; arguments as of `push`."""
+        """Records that end all stuck states because the stream leaves the world; arguments as of `push`."""
         return [self._record(name, states, step, began=False) for name in self._stuck()]
 
     def _stuck(self) -> list[str]:
@@ -102,7 +103,7 @@ class Watch(msgspec.Struct):
 
 
 def in_corner(states: np.ndarray) -> list[str]:
-    """Names of the objects in a corner of the table, the agent aside; `states` is (objects, 13)."""
+    """Names of the objects, except the agent, in a corner of the table; `states` is (objects, 13)."""
     x, y = np.abs(states[:, 0]), np.abs(states[:, 1])
     near = np.flatnonzero((x > _NEAR_X) & (y > _NEAR_Y) & (y < WALL_Y))
     return [INVENTORY[index] for index in near.tolist() if index != _AGENT and _no_way_behind(states[index], index)]
@@ -111,13 +112,13 @@ def in_corner(states: np.ndarray) -> list[str]:
 def _no_way_behind(state: np.ndarray, index: int) -> bool:
     """Whether the gaps between an object and two walls are too narrow for the agent."""
     x, y, _, w, qx, qy, qz = state[:7].tolist()
-    # A rectangle reaches as far towards a wall as its long axis, the x axis of its body, points there.
+    # The reach of a rectangle towards a wall follows from the direction of its long axis, the x axis of its body.
     reach_x = RADIUS + _LONGER[index] * abs(1 - 2 * (qy * qy + qz * qz))
     reach_y = RADIUS + _LONGER[index] * abs(2 * (qx * qy + w * qz))
     return bool(WALL_X - reach_x - abs(x) < _GAP and WALL_Y - reach_y - abs(y) < _GAP)
 
 
 def position(states: np.ndarray, index: int = _AGENT) -> tuple[float, float, float]:
-    """Where an object is, by default the agent, in metres; `states` is (objects, 13)."""
+    """Position in metres of an object, by default the agent; `states` is (objects, 13)."""
     x, y, z = states[index, :3].tolist()
     return x, y, z

@@ -1,4 +1,4 @@
-"""What each task pays for and when it ends (the paper's text)."""
+"""The rewards of each task, and the end of an episode, after the paper's text."""
 
 import msgspec
 
@@ -7,28 +7,28 @@ from gym_open.envs.puzzles import GOALS, Puzzle, PuzzleError, Task
 from gym_open.envs.world import StepOutcome
 
 _BUDGET: dict[Task, int] = {"goal-seeking": 100, "preferences": 100, "avoidance": 100, "tool-use": 200}
-PAY: dict[Task, dict[str, float]] = {
+REWARDS: dict[Task, dict[str, float]] = {
     "sandbox": {},
     "goal-seeking": {"yellow": 1.0},
     "preferences": {"yellow": 0.2, "green": 0.8},
     "avoidance": {"yellow": 1.0},
     "tool-use": {"yellow": 1.0},
 }
-"""What the first touch of a goal of each kind is worth."""
+"""Reward for the first touch of a goal of each kind."""
 
 
-class Verdict(msgspec.Struct, frozen=True):
-    """What a step was worth and whether it ended the episode."""
+class TaskOutcome(msgspec.Struct, frozen=True):
+    """The reward of a step, and whether it terminated the episode."""
 
     reward: float
     terminated: bool
 
 
 def step_budget(task: Task) -> int:
-    """Steps after which an episode is truncated: N of the paper's score.
+    """Number of steps after which an episode is truncated: N in the paper's score.
 
     Raises:
-        PuzzleError: for the sandbox, which never ends.
+        PuzzleError: if the task is the sandbox, which never ends.
     """
     if task not in _BUDGET:
         raise PuzzleError(f"{task!r} has no step budget; the tasks that have one are {', '.join(_BUDGET)}")
@@ -36,23 +36,23 @@ def step_budget(task: Task) -> int:
 
 
 def rewarded(task: Task) -> bool:
-    """Whether the task pays rewards, and so whether a goal shows that it was hit."""
+    """Whether the task has rewards. If so, goals change colour when they are hit."""
     return task != "sandbox"
 
 
-def judge(task: Task, puzzle: Puzzle, already_hit: int, outcome: StepOutcome) -> Verdict:
-    """Judge a step.
+def judge(task: Task, puzzle: Puzzle, already_hit: int, outcome: StepOutcome) -> TaskOutcome:
+    """Compute the reward of a step, and whether it terminates the episode.
 
     Args:
-        task: what is asked for.
-        puzzle: where.
-        already_hit: goals hit before this step.
-        outcome: what happened in it.
+        task: the task whose rewards count.
+        puzzle: the puzzle of the episode.
+        already_hit: number of goals hit before this step.
+        outcome: the events during the step.
     """
     if task == "sandbox":
-        return Verdict(0.0, terminated=False)
+        return TaskOutcome(0.0, terminated=False)
     if task == "avoidance" and outcome.in_danger:
-        return Verdict(0.0, terminated=True)
+        return TaskOutcome(0.0, terminated=True)
     goals = sum(item.kind in GOALS for item in puzzle.objects)
-    reward = sum((PAY[task].get(kind_of(name), 0.0) for name in outcome.hits), 0.0)
-    return Verdict(reward, terminated=already_hit + len(outcome.hits) == goals)
+    reward = sum((REWARDS[task].get(kind_of(name), 0.0) for name in outcome.hits), 0.0)
+    return TaskOutcome(reward, terminated=already_hit + len(outcome.hits) == goals)

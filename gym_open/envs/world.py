@@ -116,7 +116,7 @@ class World:
 
     def observe(self, out: np.ndarray | None = None) -> np.ndarray:
         """What the camera sees: (84, 84, 3) uint8 RGB, written to `out` if that is given."""
-        image = self._scene.picture(self.data.qpos, self.stepper.hit).rgb
+        image = self._scene.image(self.data.qpos, self.stepper.hit).rgb
         if out is None:
             return image.copy()
         out[...] = image
@@ -129,15 +129,15 @@ class World:
 
     def segmentation(self) -> np.ndarray:
         """(84, 84) int32: id of the geom that each pixel shows."""
-        return self._scene.picture(self.data.qpos, self.stepper.hit).label.copy()
+        return self._scene.image(self.data.qpos, self.stepper.hit).label.copy()
 
     def depth(self) -> np.ndarray:
         """(84, 84) float32: metres to what each pixel shows, along the viewing direction; infinite for nothing."""
-        return self._scene.picture(self.data.qpos, self.stepper.hit).depth.astype(np.float32)
+        return self._scene.image(self.data.qpos, self.stepper.hit).depth.astype(np.float32)
 
     def normals(self) -> np.ndarray:
         """(84, 84, 3) float32: unit vector out of what each pixel shows, in the world's frame; 0 for nothing."""
-        return self._scene.picture(self.data.qpos, self.stepper.hit, normals=True).normal.copy()
+        return self._scene.image(self.data.qpos, self.stepper.hit, normals=True).normal.copy()
 
     def shown_colours(self) -> tuple[np.ndarray, np.ndarray]:
         """Geoms (n,) of the objects on the table, and the colours (n, 3), 0–255, in which they are shown now."""

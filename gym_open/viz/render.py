@@ -245,7 +245,7 @@ def painter(world: World, look: Look, size: int) -> Iterator[Painter]:
     from gym_open.envs.look.renderer import Renderer
 
     with Renderer(world.options, (size, size)) as renderer:
-        yield renderer.picture
+        yield renderer.render
 
 
 def _check_range(name: str, value: int, low: int, high: int) -> None:

@@ -18,7 +18,7 @@ from gym_open.envs.constants import N_ACTIONS
 from gym_open.envs.env import EnvSnapshot, ObservationMode, OpenEnv
 from gym_open.envs.puzzles import TASKS, PuzzleError, Task
 from gym_open.envs.puzzles.sets import reserved_digests
-from gym_open.envs.tasks import PAY, step_budget
+from gym_open.envs.tasks import REWARDS, step_budget
 
 ALL_TASKS: tuple[Task, ...] = ("sandbox", *TASKS)
 FORMS: tuple[ObservationMode, ...] = ("image", "dict")
@@ -133,7 +133,7 @@ def test_states_are_finite_and_contacts_make_sense(task: Task) -> None:
 
 
 def test_rewards_are_only_those_of_the_task(task: Task) -> None:
-    pay = PAY[task].values()
+    pay = REWARDS[task].values()
     possible = {0.0, *pay, sum(pay)}
     env = made(task, "image")
     for seed in range(6):

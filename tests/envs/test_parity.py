@@ -177,7 +177,7 @@ def test_a_mesh_of_many_triangles_that_hides_parts_of_itself() -> None:
     with Reference(model, 168) as reference:
         for turn in ((1, 0, 0, 0), (0.8, 0.6, 0, 0), (0.5, 0.5, -0.5, 0.5), (0.7, 0.1, 0.6, 0.3)):
             data.qpos[3:] = np.array(turn) / np.linalg.norm(turn)
-            seen = scene.picture(data.qpos, np.zeros(1, bool))
+            seen = scene.image(data.qpos, np.zeros(1, bool))
             assert (seen.label >= 0).mean() > 0.1
             compare(model, [reference.pictures(data)], [Pictures(seen.rgb, seen.depth, seen.label)])
 

@@ -13,7 +13,7 @@ from numba.core import config as numba_config
 
 from gym_open.envs import constants as c
 from gym_open.envs import jit
-from gym_open.envs.observation.raycast import BOX, SPHERE, Camera, Shapes, Triangles, empty_picture, paint
+from gym_open.envs.observation.raycast import BOX, SPHERE, Camera, Shapes, Triangles, empty_image, paint
 from gym_open.envs.observation.scene import Parts, model_camera, place_parts
 from gym_open.envs.options import WorldOptions
 from gym_open.envs.physics.model import build_model
@@ -121,13 +121,13 @@ def brute_depth(shapes: Shapes, i: int) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(4))
 def test_rectangles_cut_nothing_off(seed: int) -> None:
     shapes = random_shapes(np.random.default_rng(seed), 12)
-    picture = empty_picture(c.IMAGE_SIZE)
-    paint(shapes, NO_TRIANGLES, observation_camera(), picture)
+    image = empty_image(c.IMAGE_SIZE)
+    paint(shapes, NO_TRIANGLES, observation_camera(), image)
     depths = np.array([brute_depth(shapes, i) for i in range(12)])
-    np.testing.assert_allclose(picture.depth, depths.min(axis=0), rtol=1e-9)
+    np.testing.assert_allclose(image.depth, depths.min(axis=0), rtol=1e-9)
     labels = np.where(np.isinf(depths.min(axis=0)), -1, depths.argmin(axis=0))
-    assert (picture.label == labels).mean() > 0.9999
-    assert not picture.rgb[picture.label == -1].any()
+    assert (image.label == labels).mean() > 0.9999
+    assert not image.rgb[image.label == -1].any()
 
 
 def test_parts_are_placed_as_mujoco_places_them() -> None:
@@ -158,12 +158,12 @@ def test_shading_is_lamberts() -> None:
         np.full((1, 3), 200.0),
         np.zeros(1, np.int32),
     )
-    picture = empty_picture(c.IMAGE_SIZE)
-    paint(shapes, NO_TRIANGLES, observation_camera(), picture)
+    image = empty_image(c.IMAGE_SIZE)
+    paint(shapes, NO_TRIANGLES, observation_camera(), image)
     light = -np.array(c.LIGHT_DIRECTION) / np.linalg.norm(c.LIGHT_DIRECTION)
     facing = (light[2], -light[1], -light[0])  # top, front and left side: what this camera sees
     expected = sorted(round(200 * (c.LIGHT_AMBIENT + c.LIGHT_DIFFUSE * max(cosine, 0.0))) for cosine in facing)
-    np.testing.assert_allclose(np.unique(picture.rgb[picture.label == 0]), expected, atol=1)
+    np.testing.assert_allclose(np.unique(image.rgb[image.label == 0]), expected, atol=1)
 
 
 def test_goals_show_that_they_were_hit_only_if_told_to() -> None:

@@ -46,7 +46,7 @@ def test_from_the_observations_camera_both_looks_agree_on_what_is_where() -> Non
             world.load(fixed_puzzles(task)[1])
             for action in rng.integers(1, 9, 4):
                 world.step(int(action))
-            picture, label = renderer.picture(world), world.segmentation()
+            picture, label = renderer.render(world), world.segmentation()
             assert picture.shape == (256, 256, 3)
             assert picture.dtype == np.uint8
             for name in ("agent", "yellow_0"):
@@ -62,7 +62,7 @@ def test_shadow_gloss_and_cloth_are_there() -> None:
     world = World()
     world.load(Puzzle("sandbox", arranged([Placement("agent", 8, 4)])))
     with Renderer(world.options, (384, 384)) as renderer:
-        picture = renderer.picture(world).copy()
+        picture = renderer.render(world).copy()
         table = pixels_of(picture, c.SCENERY_COLOUR["table"])
         assert table.mean() > 0.15
         bright = picture.max(axis=2)[table].astype(float)
@@ -79,9 +79,9 @@ def test_a_goal_shows_its_hit_and_parked_things_never() -> None:
     with Renderer(world.options, (256, 256)) as renderer:
         for recolour, colour in ((True, c.HIT_COLOUR["yellow"]), (False, c.COLOUR["yellow"])):
             world.load(puzzle, recolour_hits=recolour)
-            before = renderer.picture(world).copy()
+            before = renderer.render(world).copy()
             assert world.step(1).hits == ("yellow_0",)
-            after = renderer.picture(world).copy()
+            after = renderer.render(world).copy()
             assert pixels_of(before, c.COLOUR["yellow"]).sum() > 20
             assert pixels_of(after, colour).sum() > 20
             assert pixels_of(after, c.COLOUR["yellow"]).any() == (not recolour)
@@ -90,7 +90,7 @@ def test_a_goal_shows_its_hit_and_parked_things_never() -> None:
     world = World(back)
     world.load(puzzle)
     with Renderer(back, (512, 512), "observation") as renderer:
-        assert not pixels_of(renderer.picture(world), c.COLOUR["heavy"]).any()
+        assert not pixels_of(renderer.render(world), c.COLOUR["heavy"]).any()
     seen = {world.model.geom(int(i)).name for i in np.unique(world.segmentation()) if i >= 0}
     assert not {name for name in seen if name.startswith(("heavy", "pen", "ramp", "lid"))}
 
@@ -103,7 +103,7 @@ def test_what_nobody_is_to_see_is_not_drawn() -> None:
     assert {"wall_north", "lid"} <= {world.model.geom(i).name for i in unseen}
     with Renderer(world.options, (256, 256)) as renderer:
         # Were the tall walls or the lid drawn, they would hide the agent and the pen from above the table's south.
-        picture = renderer.picture(world)
+        picture = renderer.render(world)
         assert pixels_of(picture, c.COLOUR["agent"]).sum() > 20
         assert pixels_of(picture, c.SCENERY_COLOUR["table"]).mean() > 0.15
         assert pixels_of(picture, c.SCENERY_COLOUR["ramp"]).sum() > 50
@@ -116,7 +116,7 @@ def test_options_and_size_reach_the_picture_and_the_worlds_model_stays_as_it_is(
     world.load(fixed_puzzles("goal-seeking")[0], recolour_hits=True)
     before = world.model.geom_rgba.copy()
     with Renderer(options, (320, 180)) as renderer:
-        picture = renderer.picture(world)
+        picture = renderer.render(world)
         assert picture.shape == (180, 320, 3)
         assert pixels_of(picture, (20, 60, 240)).sum() > 10
         assert not pixels_of(picture, c.COLOUR["agent"]).any()

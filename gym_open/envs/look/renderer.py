@@ -59,7 +59,7 @@ class Renderer:
         """Give OpenGL's memory back."""
         self._renderer.close()
 
-    def picture(self, world: World) -> np.ndarray:
+    def render(self, world: World) -> np.ndarray:
         """The world as it is now, (height, width, 3) uint8; goals are in their hit colour where `observe` shows it."""
         data, model = self._data, self._model
         for field in ("qpos", "mocap_pos", "mocap_quat"):

@@ -61,7 +61,7 @@ class Triangles(NamedTuple):
     """(T, 4): a point x is before the triangle if the first three · x are more than the last."""
 
 
-class Picture(NamedTuple):
+class Image(NamedTuple):
     """What the camera sees."""
 
     rgb: np.ndarray
@@ -77,7 +77,7 @@ class Picture(NamedTuple):
 def square_camera(
     position: np.ndarray, axes: np.ndarray, field_of_view_deg: float, size: int, light: np.ndarray
 ) -> Camera:
-    """A camera whose pictures are `size` pixels high and wide; the other arguments as in `Camera`."""
+    """A camera whose images are `size` pixels high and wide; the other arguments as in `Camera`."""
     # NumPy's own tangent rounds differently on processors with AVX-512.
     slope = math.tan(math.radians(field_of_view_deg) / 2)
     grid = ((np.arange(size) + 0.5) / size * 2 - 1) * slope
@@ -85,9 +85,9 @@ def square_camera(
     return Camera(position, axes, rays, slope, light)
 
 
-def empty_picture(size: int) -> Picture:
-    """A black picture of nothing."""
-    return Picture(
+def empty_image(size: int) -> Image:
+    """A black image of nothing."""
+    return Image(
         np.zeros((size, size, 3), np.uint8),
         np.full((size, size), np.inf),
         np.full((size, size), -1, np.int32),
@@ -159,14 +159,14 @@ def _brightness(normal: np.ndarray, light: np.ndarray) -> float:
 
 @compiled
 def _set_pixel(  # noqa: PLR0917  # numba takes arrays, not objects
-    picture: Picture, row: int, column: int, shapes: Shapes, i: int, depth: float, bright: float, normal: np.ndarray
+    image: Image, row: int, column: int, shapes: Shapes, i: int, depth: float, bright: float, normal: np.ndarray
 ) -> None:
     """Show shape `i` at this pixel, in its colour times `bright`."""
-    picture.depth[row, column] = depth
-    picture.label[row, column] = shapes.label[i]
+    image.depth[row, column] = depth
+    image.label[row, column] = shapes.label[i]
     for k in range(3):
-        picture.rgb[row, column, k] = np.uint8(min(shapes.colour[i, k] * bright, 255.0) + 0.5)
-        picture.normal[row, column, k] = normal[k]
+        image.rgb[row, column, k] = np.uint8(min(shapes.colour[i, k] * bright, 255.0) + 0.5)
+        image.normal[row, column, k] = normal[k]
 
 
 @compiled
@@ -208,7 +208,7 @@ def _paint_triangle(  # noqa: PLR0917  # numba takes arrays, not objects
     normals: np.ndarray,
     window: tuple[int, int, int, int],
     camera: Camera,
-    picture: Picture,
+    image: Image,
 ) -> None:
     """Show a triangle of mesh `i` inside the window (top, bottom, left, right).
 
@@ -220,9 +220,9 @@ def _paint_triangle(  # noqa: PLR0917  # numba takes arrays, not objects
         normals: (3, 3): at its corners, in the world's frame.
         window: where to look.
         camera: whose frame `planes` is in.
-        picture: to paint.
+        image: to paint.
     """
-    height, width = picture.depth.shape
+    height, width = image.depth.shape
     p, q, r, normal = planes[0], planes[1], planes[2], planes[3]
     for row in range(window[0], window[1]):
         y = -((row + 0.5) / height * 2 - 1) * camera.slope
@@ -231,7 +231,7 @@ def _paint_triangle(  # noqa: PLR0917  # numba takes arrays, not objects
             # The ray (x, y, 1) meets the triangle at depth volume / Σ weights, if no weight is negative.
             u, v, w = x * p[0] + y * p[1] + p[2], x * q[0] + y * q[1] + q[2], x * r[0] + y * r[1] + r[2]
             total = u + v + w
-            if min(u, v, w) < 0 or volume >= picture.depth[row, column] * total:
+            if min(u, v, w) < 0 or volume >= image.depth[row, column] * total:
                 continue
             bright = 0.0
             for weight, own in ((u, normals[0]), (v, normals[1]), (w, normals[2])):
@@ -239,15 +239,15 @@ def _paint_triangle(  # noqa: PLR0917  # numba takes arrays, not objects
             for k in range(3):
                 normal[k] = u * normals[0, k] + v * normals[1, k] + w * normals[2, k]
             normal /= np.sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2])
-            _set_pixel(picture, row, column, shapes, i, volume / total, bright, normal)
+            _set_pixel(image, row, column, shapes, i, volume / total, bright, normal)
 
 
 @compiled
 def _paint_mesh(  # noqa: PLR0917  # numba takes arrays, not objects
-    shapes: Shapes, i: int, triangles: Triangles, camera: Camera, place: np.ndarray, picture: Picture
+    shapes: Shapes, i: int, triangles: Triangles, camera: Camera, place: np.ndarray, image: Image
 ) -> None:
     """Cast mesh `i`, whose origin is at `place` in the camera's frame: most of its triangles lie between two pixels."""
-    height, width = picture.depth.shape
+    height, width = image.depth.shape
     turn, slope, plane = shapes.rotation[i], camera.slope, triangles.plane
     view, planes, normals = np.empty((3, 3)), np.empty((4, 3)), np.empty((3, 3))
     for k in range(3):
@@ -278,13 +278,13 @@ def _paint_mesh(  # noqa: PLR0917  # numba takes arrays, not objects
         for j in range(3):
             way = triangles.normal[t, j]
             normals[j, 0], normals[j, 1], normals[j, 2] = _turned(turn, way[0], way[1], way[2])
-        _paint_triangle(shapes, i, planes, volume, normals, (top, bottom, left, right), camera, picture)
+        _paint_triangle(shapes, i, planes, volume, normals, (top, bottom, left, right), camera, image)
 
 
 @compiled
-def paint(shapes: Shapes, triangles: Triangles, camera: Camera, picture: Picture) -> None:
-    """Cast the shapes into the picture, each only inside its screen rectangle."""
-    height, width = picture.depth.shape
+def paint(shapes: Shapes, triangles: Triangles, camera: Camera, image: Image) -> None:
+    """Cast the shapes into the image, each only inside its screen rectangle."""
+    height, width = image.depth.shape
     normal, offset, place = np.empty(3), np.empty(3), np.empty(3)
     for i in range(shapes.label.shape[0]):
         half, turn, form = shapes.size[i], shapes.rotation[i], shapes.form[i]
@@ -296,12 +296,12 @@ def paint(shapes: Shapes, triangles: Triangles, camera: Camera, picture: Picture
         top, bottom = _span(-place[1], place[2], reach, camera.slope, height)
         if form == MESH:
             if left < right and top < bottom:
-                _paint_mesh(shapes, i, triangles, camera, place, picture)
+                _paint_mesh(shapes, i, triangles, camera, place, image)
             continue
         sphere = form == SPHERE
         for row in range(top, bottom):
             for column in range(left, right):
                 ray = camera.rays[row, column]
                 t = _hit_sphere(ray, offset, reach, normal) if sphere else _hit_box(ray, offset, turn, half, normal)
-                if t < picture.depth[row, column]:
-                    _set_pixel(picture, row, column, shapes, i, t, _brightness(normal, camera.light), normal)
+                if t < image.depth[row, column]:
+                    _set_pixel(image, row, column, shapes, i, t, _brightness(normal, camera.light), normal)

@@ -1,4 +1,4 @@
-"""The picture of a world, drawn from its compiled model: what stands still once a puzzle, what moves every frame.
+"""The image of a world, drawn from its compiled model: what stands still once a puzzle, what moves every frame.
 
 All of the look is in the model: the geoms of MuJoCo's visible groups (0–2), their sizes and colours, the camera named
 `observation`, and the one directional light.
@@ -16,10 +16,10 @@ from gym_open.envs.observation.raycast import (
     MESH,
     SPHERE,
     Camera,
-    Picture,
+    Image,
     Shapes,
     Triangles,
-    empty_picture,
+    empty_image,
     paint,
     square_camera,
 )
@@ -51,8 +51,8 @@ class Drawing(NamedTuple):
     shapes: Shapes
     triangles: Triangles
     camera: Camera
-    still: Picture
-    picture: Picture
+    still: Image
+    image: Image
 
 
 @compiled
@@ -93,26 +93,26 @@ def _copy(source: np.ndarray, target: np.ndarray) -> None:
 
 @compiled
 def draw(qpos: np.ndarray, hit: np.ndarray, drawing: Drawing, normals: bool) -> None:
-    """Draw the objects at `qpos` into the drawing's picture.
+    """Draw the objects at `qpos` into the drawing's image.
 
     Args:
         qpos: (7 · n_objects,).
         hit: (n_objects,) bool: which were hit.
         drawing: what to draw, and where.
-        normals: whether the picture's normals are wanted; without, they are right only where an object is.
+        normals: whether the image's normals are wanted; without, they are right only where an object is.
     """
-    parts, shapes, still, picture = drawing.parts, drawing.shapes, drawing.still, drawing.picture
+    parts, shapes, still, image = drawing.parts, drawing.shapes, drawing.still, drawing.image
     place_parts(qpos, parts, shapes)
     for i in range(parts.carrier.shape[0]):
         state = 1 if hit[parts.carrier[i]] else 0
         for k in range(3):
             shapes.colour[i, k] = parts.colour[i, state, k]
-    _copy(still.rgb, picture.rgb)
-    _copy(still.depth, picture.depth)
-    _copy(still.label, picture.label)
+    _copy(still.rgb, image.rgb)
+    _copy(still.depth, image.depth)
+    _copy(still.label, image.label)
     if normals:
-        _copy(still.normal, picture.normal)
-    paint(shapes, drawing.triangles, drawing.camera, picture)
+        _copy(still.normal, image.normal)
+    paint(shapes, drawing.triangles, drawing.camera, image)
 
 
 class Scene:
@@ -127,11 +127,11 @@ class Scene:
         body = model.geom_bodyid
         movers = [i for i in seen if model.body_dofnum[body[i]]]
         self._pieces = [i for i in seen if model.body_mocapid[body[i]] >= 0]
-        self._table = empty_picture(image_size)
+        self._table = empty_image(image_size)
         fixed = [i for i in seen if i not in movers and i not in self._pieces]
         self._cast(fixed, np.zeros(len(fixed), np.int64), _STILL_POSE, self._table)
-        self._still = empty_picture(image_size)
-        self._picture = empty_picture(image_size)
+        self._still = empty_image(image_size)
+        self._picture = empty_image(image_size)
         self._objects = np.array([self._object_of(i) for i in movers], np.int64)
         self._parts_of_objects, self._shapes_of_objects = self._parts(movers, self._objects), self._shapes(movers)
         for row, geom in enumerate(movers):
@@ -160,13 +160,13 @@ class Scene:
         """What `draw` takes, until the next `load`."""
         return self._drawing
 
-    def picture(self, qpos: np.ndarray, hit: np.ndarray, *, normals: bool = False) -> Picture:
-        """The picture (reused by the next call) of the objects at `qpos`.
+    def image(self, qpos: np.ndarray, hit: np.ndarray, *, normals: bool = False) -> Image:
+        """The image (reused by the next call) of the objects at `qpos`.
 
         Args:
             qpos: (7 · n_objects,).
             hit: (n_objects,) bool: which goals were hit.
-            normals: whether normals are wanted; without, the picture's are not to be used.
+            normals: whether normals are wanted; without, the image's are not to be used.
         """
         draw(qpos, hit, self._drawing, normals)
         return self._picture
@@ -187,10 +187,10 @@ class Scene:
         shapes = Shapes(*(array[rows] for array in self._shapes_of_objects))
         return Drawing(parts, shapes, self._triangles, self._camera, self._still, self._picture)
 
-    def _cast(self, geoms: list[int], carrier: np.ndarray, poses: np.ndarray, picture: Picture) -> None:
+    def _cast(self, geoms: list[int], carrier: np.ndarray, poses: np.ndarray, image: Image) -> None:
         shapes = self._shapes(geoms)
         place_parts(poses, self._parts(geoms, carrier), shapes)
-        paint(shapes, self._triangles, self._camera, picture)
+        paint(shapes, self._triangles, self._camera, image)
 
     def _parts(self, geoms: list[int], carrier: np.ndarray) -> Parts:
         place = np.concatenate([self._model.geom_pos[geoms], self._model.geom_quat[geoms]], axis=1)

@@ -124,7 +124,7 @@ xyaxes="{text(c.camera_axes(camera.direction)[:2].ravel())}" fovy="{camera.field
 """
 
 
-class _Kind(NamedTuple):
+class _ObjectKind(NamedTuple):
     """What all objects of one kind have in common."""
 
     mass: float
@@ -142,14 +142,14 @@ class _Kind(NamedTuple):
     assets: tuple[str, ...] = ()
 
 
-def _kinds(options: WorldOptions) -> dict[str, _Kind]:
+def _kinds(options: WorldOptions) -> dict[str, _ObjectKind]:
     kinds = {kind: _built_in(kind, options) for kind in c.CAPACITY}
     for mesh in options.meshes:
         kinds[mesh.kind] = _mesh_kind(mesh)
     return kinds
 
 
-def _built_in(kind: str, options: WorldOptions) -> _Kind:
+def _built_in(kind: str, options: WorldOptions) -> _ObjectKind:
     size = options.size(kind)
     half = size / 2
     assets: tuple[str, ...] = ()
@@ -161,7 +161,7 @@ def _built_in(kind: str, options: WorldOptions) -> _Kind:
     else:
         length = half * c.RECTANGLE_LENGTH / (2 * c.RADIUS) if kind == "rectangle" else half
         shape = f'type="box" size="{text((length, half, half))}"'
-    return _Kind(
+    return _ObjectKind(
         mass=options.mass(kind),
         friction=options.friction(kind),
         bounciness=options.bounciness(kind),
@@ -173,14 +173,14 @@ def _built_in(kind: str, options: WorldOptions) -> _Kind:
     )
 
 
-def _mesh_kind(mesh: MeshObject) -> _Kind:
+def _mesh_kind(mesh: MeshObject) -> _ObjectKind:
     extras.check("meshes")
     from gym_open.envs.physics.meshes import mesh_shape  # loads libraries that few worlds need
 
     shape = mesh_shape(mesh)
     pieces = [f"{mesh.kind}/{i}" for i in range(len(shape.pieces))]
     seen = f'vertex="{text(shape.vertices.ravel())}" face="{text(shape.faces.ravel())}" inertia="shell"'
-    return _Kind(
+    return _ObjectKind(
         mass=mesh.mass,
         friction=mesh.friction,
         bounciness=mesh.bounciness,
@@ -208,12 +208,12 @@ def _cone(half: float) -> np.ndarray:
     return half * np.array([*base, (0.0, 0.0, 1.0)])
 
 
-def _touched(name: str, kind: _Kind) -> list[str]:
+def _touched(name: str, kind: _ObjectKind) -> list[str]:
     """Names of the geoms that an object touches others with."""
     return [f"{name}/{i}" for i in range(len(kind.parts))] or [name]
 
 
-def _objects(options: WorldOptions, kinds: dict[str, _Kind]) -> list[str]:
+def _objects(options: WorldOptions, kinds: dict[str, _ObjectKind]) -> list[str]:
     lines: list[str] = []
     for index, name in enumerate(inventory(options)):
         kind = kinds[kind_of(name)]
@@ -235,7 +235,7 @@ def _objects(options: WorldOptions, kinds: dict[str, _Kind]) -> list[str]:
     return lines
 
 
-def _pairs(options: WorldOptions, kinds: dict[str, _Kind]) -> list[str]:
+def _pairs(options: WorldOptions, kinds: dict[str, _ObjectKind]) -> list[str]:
     """Contacts with settings of their own: friction acts with the ground alone, so that nothing climbs on another.
 
     The agent glides, spheres roll and come to rest, all else slides.
@@ -254,7 +254,7 @@ def _pairs(options: WorldOptions, kinds: dict[str, _Kind]) -> list[str]:
     return lines + _bounces(options, kinds)
 
 
-def _bounces(options: WorldOptions, kinds: dict[str, _Kind]) -> list[str]:
+def _bounces(options: WorldOptions, kinds: dict[str, _ObjectKind]) -> list[str]:
     """Pairs for what bounces otherwise than v1: MuJoCo itself takes the less bouncy of two, not their mean."""
     if all(kind.bounciness == c.BOUNCINESS for kind in kinds.values()):
         return []

@@ -52,7 +52,7 @@ def new_boards(count: int, objects: int) -> np.ndarray:
     return np.zeros(count, np.dtype(kind, align=True))
 
 
-class Plan(NamedTuple):
+class StepConstants(NamedTuple):
     """What all worlds of one model have in common, as compiled code takes it."""
 
     layout: Layout
@@ -69,7 +69,7 @@ class Plan(NamedTuple):
 
 @compiled
 def play(  # noqa: PLR0917  # compiled code takes arguments by position
-    boards: np.ndarray, index: int, push_x: float, push_y: float, substeps: int, stop: bool, plan: Plan
+    boards: np.ndarray, index: int, push_x: float, push_y: float, substeps: int, stop: bool, constants: StepConstants
 ) -> None:
     """Push the agent, let substeps pass, and stop it: standing still but falling on, so that it cannot fly.
 
@@ -80,21 +80,21 @@ def play(  # noqa: PLR0917  # compiled code takes arguments by position
         push_y: along y.
         substeps: how many.
         stop: whether the agent is stopped in the end.
-        plan: of the worlds' model.
+        constants: of the worlds' model.
     """
     board = boards[index]
     agent = carray(pointer(board.qvel), 6, np.float64)
     agent[0] += push_x
     agent[1] += push_y
     touches, hits = 0, 0
-    danger = substeps == 0 and _in_danger(board, plan.danger_half)
+    danger = substeps == 0 and _in_danger(board, constants.danger_half)
     for _ in range(substeps):
-        call2(plan.layout.mj_step, board.model, board.data)
+        call2(constants.layout.mj_step, board.model, board.data)
         before = touches
-        touches = _add_contacts(board, touches, plan)
+        touches = _add_contacts(board, touches, constants)
         for slot in range(before, touches):
-            hits = _add_hit(board, slot, hits, plan)
-        danger = danger or _in_danger(board, plan.danger_half)
+            hits = _add_hit(board, slot, hits, constants)
+        danger = danger or _in_danger(board, constants.danger_half)
     _average(board.sums, touches)
     board.counts[0], board.counts[1], board.counts[2] = touches, hits, danger
     if stop:
@@ -104,7 +104,7 @@ def play(  # noqa: PLR0917  # compiled code takes arguments by position
 
 
 @compiled
-def read_states(boards: np.ndarray, index: int, plan: Plan) -> None:
+def read_states(boards: np.ndarray, index: int, constants: StepConstants) -> None:
     """Write the board's `states`: position, quaternion, linear and angular velocity in the world's frame."""
     board = boards[index]
     states = board.states
@@ -116,7 +116,7 @@ def read_states(boards: np.ndarray, index: int, plan: Plan) -> None:
         states[i, 7:] = speeds[i]
         if speeds[i, 3] != 0 or speeds[i, 4] != 0 or speeds[i, 5] != 0:  # MuJoCo keeps it in the body's own frame
             out, speed, turn = start + 8 * (13 * i + 10), board.qvel + 8 * (6 * i + 3), board.qpos + 8 * (7 * i + 3)
-            call3(plan.layout.mju_rotVecQuat, out, speed, turn)
+            call3(constants.layout.mju_rotVecQuat, out, speed, turn)
 
 
 @compiled
@@ -126,12 +126,12 @@ def _in_danger(board: Any, half: float) -> bool:
 
 
 @compiled
-def _add_hit(board: Any, slot: int, hits: int, plan: Plan) -> int:
+def _add_hit(board: Any, slot: int, hits: int, constants: StepConstants) -> int:
     """A pair began to touch: note it if it is the agent and a goal, for the first time; return the number of hits."""
     a, b = board.pairs[slot, 0], board.pairs[slot, 1]
-    if plan.agent not in (a, b):
+    if constants.agent not in (a, b):
         return hits
-    goal = plan.goals[b if a == plan.agent else a]
+    goal = constants.goals[b if a == constants.agent else a]
     if goal < 0 or board.hit[goal]:
         return hits
     board.hit[goal] = 1
@@ -140,16 +140,16 @@ def _add_hit(board: Any, slot: int, hits: int, plan: Plan) -> int:
 
 
 @compiled
-def _add_contacts(board: Any, count: int, plan: Plan) -> int:
+def _add_contacts(board: Any, count: int, constants: StepConstants) -> int:
     """Add the contacts of the substep that was just taken to the pairs and sums; return how many pairs there are."""
-    at, pairs, sums = plan.layout, board.pairs, board.sums
+    at, pairs, sums = constants.layout, board.pairs, board.sums
     touching = carray(pointer(board.data + at.ncon), 1, np.int32)[0]
     contacts = carray(pointer(board.data + at.contact), 1, np.int64)[0]
     forces = carray(pointer(board.data + at.efc_force), 1, np.int64)[0]
     for i in range(touching):
         contact = contacts + i * at.contact_size
         geoms = carray(pointer(contact + at.geom), 2, np.int32)
-        a, b = plan.things[geoms[0]], plan.things[geoms[1]]
+        a, b = constants.things[geoms[0]], constants.things[geoms[1]]
         if a < 0 or b < 0:  # the ground
             continue
         slot = 0
@@ -163,7 +163,7 @@ def _add_contacts(board: Any, count: int, plan: Plan) -> int:
             count += 1
         row = carray(pointer(contact + at.efc_address), 1, np.int32)[0]
         force = carray(pointer(forces + 8 * row), 1, np.float64)[0] if row >= 0 else 0.0
-        impulse = force * plan.timestep
+        impulse = force * constants.timestep
         weight = impulse + 1e-12
         position = carray(pointer(contact + at.pos), 3, np.float64)
         normal = carray(pointer(contact + at.frame), 3, np.float64)
@@ -204,7 +204,7 @@ class Stepper:
         """
         self._objects, self._names = tuple(objects), thing_names(model)
         self._bound = model, data  # alive for as long as their addresses are used
-        self.plan = _plan(model, objects)
+        self.constants = _constants(model, objects)
         boards = new_boards(1, len(objects))
         board = boards[0]
         board["model"], board["data"] = model._address, data._address  # noqa: SLF001
@@ -232,12 +232,12 @@ class Stepper:
 
     def step(self, push: tuple[float, float], substeps: int) -> StepOutcome:
         """Change the agent's velocity by `push` (m/s), let substeps pass, and stop it."""
-        play(self._boards, self._index, push[0], push[1], substeps, True, self.plan)
+        play(self._boards, self._index, push[0], push[1], substeps, True, self.constants)
         return self.outcome()
 
     def advance(self, substeps: int) -> StepOutcome:
         """Let substeps pass, which may be none; nobody pushes or stops the agent."""
-        play(self._boards, self._index, 0.0, 0.0, substeps, False, self.plan)
+        play(self._boards, self._index, 0.0, 0.0, substeps, False, self.constants)
         return self.outcome()
 
     def outcome(self) -> StepOutcome:
@@ -249,14 +249,14 @@ class Stepper:
 
     def states(self) -> np.ndarray:
         """(n_objects, 13) float64: position, quaternion, linear and angular velocity, in the world's frame."""
-        read_states(self._boards, self._index, self.plan)
+        read_states(self._boards, self._index, self.constants)
         return self._states.copy()
 
 
-def _plan(model: mujoco.MjModel, objects: Sequence[str]) -> Plan:
+def _constants(model: mujoco.MjModel, objects: Sequence[str]) -> StepConstants:
     goals = np.full(model.ngeom, -1, np.int32)
     for number, name in enumerate(objects):
         if kind_of(name) in GOALS:
             goals[model.body(name).geomadr[0]] = number
     agent = int(model.body("agent").geomadr[0])
-    return Plan(layout(), float(model.opt.timestep), c.DANGER_HALF, things_of(model), goals, agent)
+    return StepConstants(layout(), float(model.opt.timestep), c.DANGER_HALF, things_of(model), goals, agent)

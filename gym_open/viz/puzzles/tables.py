@@ -9,7 +9,7 @@ import numpy as np
 
 from gym_open.envs.puzzles import Task
 from gym_open.envs.puzzles.sets import Split, locate, puzzles_of
-from gym_open.envs.tasks import PAY, step_budget
+from gym_open.envs.tasks import REWARDS, step_budget
 from gym_open.formats.scores import EPISODES, Scores, read_episodes, read_scores
 from gym_open.replay.episodes import puzzle_of
 from gym_open.terminal import printable
@@ -95,7 +95,7 @@ def commands(group: Table) -> list[str]:
 
 def _table(task: Task, split: Split, records: dict[Path, Scores]) -> Table:
     best = np.array([
-        sum(PAY[task].get(item.kind, 0.0) for item in puzzle.objects) for puzzle in puzzles_of(task, split)
+        sum(REWARDS[task].get(item.kind, 0.0) for item in puzzle.objects) for puzzle in puzzles_of(task, split)
     ])  # fmt: skip
     names = agent_names(dict(records))
     agents = [_scored(source, names[source], record, best) for source, record in records.items()]
