@@ -26,9 +26,9 @@ def read_regular(path: Path, most: int, *, tail: bool = False) -> bytes:
     """Read at most `most` bytes of a regular file: the first ones, or the last ones if `tail`.
 
     Raises:
-        OSError: if the file cannot be read, or is a link or not a regular file, which may be endless or may block.
+        OSError: if the file cannot be read, or is a link or not a regular file, because reading it may never end.
     """
-    with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:  # noqa: PTH123  (a file descriptor)
+    with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:  # noqa: PTH123  (a descriptor)
         status = os.fstat(file.fileno())
         if not stat.S_ISREG(status.st_mode):
             raise OSError(errno.EINVAL, "not a regular file", str(path))
@@ -37,7 +37,7 @@ def read_regular(path: Path, most: int, *, tail: bool = False) -> bytes:
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Write a temporary file, flush it to disk, then rename it: readers see the old bytes or the new ones, never a mixture.
+    """Write a temporary file, flush it to disk, then rename it: readers see the old bytes or the new, never a mixture.
 
     Raises:
         ArtefactError: if the file cannot be written, for example on a full disk; the old file stays.

@@ -28,7 +28,7 @@ def check_device(device: str) -> None:
 
 
 def usable_cores(groups: Path = Path("/sys/fs/cgroup")) -> int:
-    """Number of cores that this process may use: its processor affinity, or fewer if its control group limits it further.
+    """Number of cores that this process may use: its processor affinity, or fewer if its control group allows fewer.
 
     Args:
         groups: folder where Linux shows control groups, of version 1 or 2.

@@ -40,6 +40,6 @@ def interruptible() -> Iterator[Callable[[], bool]]:
 
 
 def end_with_parent() -> None:
-    """Call this in a child process: the system ends it when its parent dies, even by SIGKILL. Only Linux can do this."""
+    """In a child process: make the system end it when its parent dies, even by SIGKILL. Only Linux can do this."""
     if sys.platform == "linux":
         _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

@@ -76,7 +76,7 @@ class Voice:
         self.console.print(words, soft_wrap=True)
 
     def result(self, text: str, *, verb: str = "") -> None:
-        """Print the result of a command, as `say` does, also if the command is quiet; not if it is quiet and prints records."""
+        """Print a result as `say` does, also if the command is quiet, unless it is quiet and prints records."""
         self.console.quiet = self.quiet and self.json
         self.say(text, verb=verb)
         self.console.quiet = self.quiet

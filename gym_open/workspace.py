@@ -1,4 +1,4 @@
-"""A workspace: a folder that holds the five stage folders. `gym-open init` makes one; the repository root is one too."""
+"""A workspace: a folder that holds the five stage folders, such as the repository root. `gym-open init` makes one."""
 
 import shutil
 from pathlib import Path

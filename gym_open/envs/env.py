@@ -21,13 +21,13 @@ ObservationMode = Literal["image", "dict"]
 Look = Literal["observation", "handsome"]
 
 _LARGEST_RENDER = 4096
-# Far beyond what was ever seen on the table; a state outside is clipped.
+# Far beyond all states ever observed on the table. States outside are clipped.
 _STATE_BOUND = np.repeat([5.0, 1.0, 100.0, 10_000.0], [3, 4, 3, 3]).astype(np.float32)
 """(13,): position in m, quaternion, velocity in m/s, angular velocity in rad/s."""
 
 
 class EnvSnapshot(msgspec.Struct, frozen=True):
-    """All that an environment's future depends on, as plain data that JSON keeps exactly."""
+    """All that an environment's future depends on, as plain data that JSON can hold exactly."""
 
     puzzle: Puzzle
     world: list[float]
@@ -45,41 +45,42 @@ class EnvSnapshot(msgspec.Struct, frozen=True):
 
 
 class OpenEnv(gymnasium.Env[Any, np.int64]):
-    """A puzzle on the table, seen as an image and played with nine actions.
+    """A Gymnasium environment: a puzzle on the table, observed as an image, with nine actions.
 
-    Each reset draws a new training puzzle, or takes `options={"puzzle": Puzzle}`. The sandbox pays nothing and never
-    ends; the tasks are truncated at their budget.
+    Each reset draws a new training puzzle, or takes `options={"puzzle": Puzzle}`. The sandbox has no rewards and never
+    ends. The tasks are truncated at their step budget.
 
-    An observation is the image, (84, 84, 3) uint8, or of the `image_size` in the world's options; with
-    `observation="dict"` it is a dictionary of
+    An observation is the image, (84, 84, 3) uint8; the `image_size` in the world's options changes its size. With
+    `observation="dict"`, an observation is a dictionary with
 
-    - `image`: the same;
-    - `object_state`: (N, 13) float32, a row for each object of the model: position (m), quaternion (scalar first),
-      velocity (m/s), angular velocity (rad/s), in the world's frame; a row of zeros for an object that is not there;
-    - `present`: (N,) int8, 1 for each object that is there.
+    - `image`: the same image;
+    - `object_state`: (N, 13) float32, one row per object of the model: position (m), quaternion (scalar first),
+      velocity (m/s), angular velocity (rad/s), in the world's frame; zeros for objects that the puzzle does not have;
+    - `present`: (N,) int8, 1 for each object that the puzzle has.
 
     After reset and after each step, `info` holds
 
-    - `puzzle_digest`: the layout's;
-    - `object_state`: (N, 13) float64, exact, of parked objects too (`env.unwrapped.world.inventory` names the rows);
-    - `contacts`: tuple of `Contact`, what touched what during the step, but for the table top;
-    - `hits`: tuple of names, goals touched for the first time in the step;
+    - `puzzle_digest`: digest of the layout;
+    - `object_state`: (N, 13) float64, exact, with parked objects (`env.unwrapped.world.inventory` names the rows);
+    - `contacts`: tuple of `Contact`, all contacts during the step except those with the table top;
+    - `hits`: tuple of names of the goals that the agent touched for the first time;
     - `in_danger`: whether the agent was in the danger patch at any substep.
 
     Args:
-        task: what is asked for; puzzles are drawn for it.
-        sandbox: what lies in a sandbox world.
-        world: everything about the world that can vary; None is the published one.
-        observation: see above.
-        rewards: without them, nothing is paid, nothing ends or is truncated, and goals keep their colour.
+        task: the task; puzzles are drawn for it.
+        sandbox: the contents of sandbox worlds.
+        world: options of the world; None means the published world.
+        observation: "image" or "dict", see above.
+        rewards: if False, all rewards are 0, no episode is terminated or truncated by the task, and goals keep their
+            colour.
         render_mode: None, or "rgb_array".
-        render_look: what `render` draws: the observation's image, or one for people, which needs OpenGL.
-        render_size: width and height of the latter in pixels.
-        max_episode_steps: steps after which an episode is truncated, should the task's budget not end it before.
+        render_look: "observation" or "handsome": the image that `render` returns. The handsome look needs OpenGL.
+        render_size: width and height in pixels of the handsome look.
+        max_episode_steps: number of steps after which an episode is truncated, unless it ends before.
 
     Raises:
-        UsageError: if an argument is none of its choices.
-        ConfigError: if a value in `sandbox` or `world` is of another type or out of its bounds.
+        UsageError: if an argument is not one of its choices.
+        ConfigError: if a value in `sandbox` or `world` has the wrong type or is out of bounds.
         MeshError: if a mesh of the world's options cannot be used.
     """
 
@@ -115,7 +116,7 @@ class OpenEnv(gymnasium.Env[Any, np.int64]):
         self.task: Task = task
         self._max_steps = max_episode_steps
         self.render_mode = render_mode
-        # Built in Python, a configuration's types and bounds were not looked at yet.
+        # A configuration that was built in Python is not checked yet.
         self.world = World(check(world, source="world") if world else None)
         self.observation_space = _observation_space(self.world, observation)
         self.action_space = spaces.Discrete(c.N_ACTIONS)
@@ -127,47 +128,47 @@ class OpenEnv(gymnasium.Env[Any, np.int64]):
         self._begin_count()
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but the handsome look's renderer, which belongs to a thread: a copy opens its own."""
+        """All except the handsome look's renderer, which belongs to one thread: a copy opens a new renderer."""
         return {**self.__dict__, "_renderer": None}
 
     @property
     def ended(self) -> bool:
-        """Whether the episode is over."""
+        """Whether the episode is terminated or truncated."""
         return self._terminated or self._truncated
 
     @property
     def puzzle(self) -> Puzzle:
-        """The puzzle being played."""
+        """The puzzle of the current episode."""
         return self.world.puzzle
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode on a drawn puzzle, or on `options["puzzle"]`.
+        """Start an episode on a new training puzzle, or on `options["puzzle"]`.
 
         Raises:
-            PuzzleError: if an option is unknown, or its puzzle is none or another task's.
+            PuzzleError: if an option is unknown, or `options["puzzle"]` is not a puzzle of this task.
         """
         self.begin(seed, options or {})
         return self.observe(), self.info(self.world.advance(0))
 
     def step(self, action: np.int64 | int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Take one action: 0 nothing, 1–8 a move of one cell (1 is +x, then counter-clockwise).
+        """Take one step: action 0 does nothing, 1–8 move the agent by one cell (1 is +x, then counter-clockwise).
 
-        After an episode's end the world goes on; nothing is paid any more, and the episode stays ended.
+        After the end of an episode, the world goes on, rewards are 0, and the episode stays ended.
 
         Raises:
-            TypeError: if the action is no whole number.
-            ValueError: if it is none of 0–8.
+            TypeError: if the action is not an integer.
+            ValueError: if it is not one of 0–8.
         """
         outcome = self.world.step(operator.index(action))
         return self.observe(), *self.score(outcome), self.info(outcome)
 
     def begin(self, seed: int | None, options: dict[str, Any]) -> None:
-        """What `reset` does, without looking."""
+        """Start an episode as `reset` does, without an observation."""
         super().reset(seed=seed)
         self._load(self._chosen(options) or sample_puzzle(self.task, self.np_random, self._sandbox))
 
     def score(self, outcome: StepOutcome) -> tuple[float, bool, bool]:
-        """Count a step that was taken: its reward, and whether the episode is terminated or truncated."""
+        """Count a step, and return its reward and whether the episode is terminated and truncated."""
         if self.ended:
             return 0.0, self._terminated, self._truncated
         verdict = judge(self._judged, self.puzzle, self._hits, outcome)
@@ -180,7 +181,7 @@ class OpenEnv(gymnasium.Env[Any, np.int64]):
         return verdict.reward, self._terminated, self._truncated
 
     def observe(self) -> Any:
-        """The observation of the present, in arrays of its own."""
+        """The current observation, in new arrays."""
         if not isinstance(self.observation_space, spaces.Dict):
             return self.world.observe()
         states = np.empty((len(self.world.inventory), 13), np.float32)
@@ -189,7 +190,7 @@ class OpenEnv(gymnasium.Env[Any, np.int64]):
         return {"image": self.world.observe(), "object_state": states, "present": present}
 
     def info(self, outcome: StepOutcome) -> dict[str, Any]:
-        """What is told about a step besides its observation."""
+        """The `info` dictionary of a step."""
         return {
             "puzzle_digest": self.puzzle.digest,
             "object_state": self.world.object_state(),
@@ -199,10 +200,10 @@ class OpenEnv(gymnasium.Env[Any, np.int64]):
         }
 
     def render(self) -> np.ndarray | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """With `render_mode="rgb_array"`: (height, width, 3) uint8, in the look that was asked for.
+        """With `render_mode="rgb_array"`: an image (height, width, 3) uint8 in the chosen look.
 
         Raises:
-            OpenGLError: if that is the handsome one, and there is no OpenGL; says what to install.
+            OpenGLError: if the look is handsome and there is no OpenGL; names the packages to install.
         """
         if self.render_mode is None:
             gymnasium.logger.warn('render() draws nothing: make the environment with render_mode="rgb_array"')
@@ -216,13 +217,13 @@ class OpenEnv(gymnasium.Env[Any, np.int64]):
         return self._renderer.render(self.world)
 
     def close(self) -> None:
-        """Give OpenGL's memory back, on the thread that rendered."""
+        """Free OpenGL's memory. Call this on the thread that rendered."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
 
     def snapshot(self) -> EnvSnapshot:
-        """All that is needed to go on from here, bit for bit, in another process."""
+        """The state from which another process can go on, bit for bit."""
         state = self.np_random.bit_generator.state
         return EnvSnapshot(
             puzzle=self.puzzle,
@@ -236,11 +237,11 @@ class OpenEnv(gymnasium.Env[Any, np.int64]):
         )
 
     def restore(self, snapshot: EnvSnapshot) -> Any:
-        """Go back to a snapshot and return the observation there.
+        """Restore a snapshot and return its observation.
 
         Raises:
-            PuzzleError: if it is of another task.
-            ArtefactError: if it is of another world.
+            PuzzleError: if the snapshot is of another task.
+            ArtefactError: if the snapshot is of another world.
         """
         if snapshot.puzzle.task != self.task:
             raise PuzzleError(f"snapshot: of task {snapshot.puzzle.task!r}, given to a {self.task!r} environment")
@@ -273,7 +274,7 @@ class OpenEnv(gymnasium.Env[Any, np.int64]):
 
 
 def show_states(states: np.ndarray, present: np.ndarray, out: np.ndarray) -> None:
-    """Write exact states (…, N, 13) as a dictionary observation has them, of those (…, N) bool that are present."""
+    """Write states (…, N, 13) as in a dictionary observation: clipped, and zeros where `present` (…, N) is False."""
     np.clip(states, -_STATE_BOUND, _STATE_BOUND, out=out, casting="same_kind")
     out[~present] = 0
 

@@ -14,7 +14,7 @@ import numba.core.config
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a function at its first call, free of the interpreter lock, and keep the machine code for later processes.
+    """Compile a function at its first call, free of the interpreter lock; keep the machine code for later processes.
 
     If neither the package's folder nor the user's cache folder is writable, a temporary folder of the user holds the
     machine code. If that folder is not safe, nothing is kept.

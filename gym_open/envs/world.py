@@ -1,4 +1,4 @@
-"""One world: a puzzle's layout on a compiled model, moved by the agent's actions and seen by its camera."""
+"""One world: a puzzle's layout on a compiled model, changed by the agent's actions and observed by a camera."""
 
 import functools
 from typing import Any
@@ -24,9 +24,9 @@ GOAL_INDEX = {name: i for i, name in enumerate(m.INVENTORY) if m.kind_of(name) i
 
 
 class World:
-    """MuJoCo data of its own over a model that worlds with equal options share. Nothing happens before `load`.
+    """A simulated table: its own MuJoCo data, and a model that worlds with equal options share. `load` comes first.
 
-    Pictures are 84 pixels high and wide, or what the options' `image_size` says.
+    Images are 84 pixels high and wide, or the options' `image_size`.
 
     Raises:
         MeshError: if a mesh of the options cannot be used.
@@ -42,14 +42,14 @@ class World:
         self.model = m.build_model(self.options)
         self.data = mujoco.MjData(self.model)
         self.present = np.zeros(len(self.inventory), bool)
-        """(N,) which inventory objects are on the table."""
+        """(N,) whether each inventory object is on the table."""
         self._puzzle: Puzzle | None = None
         self._recolour_hits = False
         self.stepper = Stepper(self.model, self.data, self.inventory)
         self._scene = Scene(self.model, self.options.image_size)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """A copy, or what is unpickled, is built anew: compiled code holds addresses of this world's own memory."""
+        """Build a copy or unpickled world anew, because compiled code holds addresses of this world's memory."""
         state = None if self._puzzle is None else (self._puzzle, self._recolour_hits, self.save_state())
         return _rebuilt, (self.options, state)
 
@@ -65,10 +65,10 @@ class World:
         return self._puzzle
 
     def load(self, puzzle: Puzzle, *, recolour_hits: bool = False) -> None:
-        """Lay the puzzle out, at rest; a goal turns its hit colour on a touch if `recolour_hits`.
+        """Lay the puzzle out, at rest. If `recolour_hits`, a touched goal turns its hit colour.
 
         Raises:
-            PuzzleError: if the puzzle has a mesh that this world's options do not, or more of it.
+            PuzzleError: if the puzzle has a mesh that this world's options lack, or more of it than they allow.
         """
         indices = self._chosen(puzzle)
         self._puzzle, self._recolour_hits = puzzle, recolour_hits
@@ -79,17 +79,17 @@ class World:
         self._place_objects(puzzle, indices)
         self._place_pieces(puzzle)
         asleep = np.arange(len(self.inventory))
-        for group in indices:  # what touches sleeps together: MuJoCo has each point to the next, in a ring
+        for group in indices:  # bodies that touch sleep together: in MuJoCo each points to the next, in a ring
             asleep[group] = group[1:] + group[:1]
         asleep[0] = AWAKE
         self._wake_and_sleep(asleep)
         self._scene.load(self.data, self.present, recolour_hits=recolour_hits)
 
     def step(self, action: int) -> StepOutcome:
-        """Take one action: a move of one cell, after which the agent stands still; 0 lets no time pass.
+        """Take one step: the action moves the agent by one cell, then stops it. During action 0 no time passes.
 
         Raises:
-            ValueError: if the action is none of 0–8.
+            ValueError: if the action is not one of 0–8.
             PuzzleError: before the first `load`.
         """
         if not 0 <= action < c.N_ACTIONS:
@@ -102,10 +102,10 @@ class World:
         return self.stepper.step((c.MOVE_SPEED * i, c.MOVE_SPEED * j), self.options.substeps)
 
     def advance(self, substeps: int) -> StepOutcome:
-        """Let physics steps pass without an action: nobody pushes or stops the agent.
+        """Simulate substeps without an action: nothing pushes or stops the agent.
 
         Raises:
-            ValueError: if there are fewer than 0 substeps.
+            ValueError: if `substeps` is negative.
             PuzzleError: before the first `load`.
         """
         if substeps < 0:
@@ -115,7 +115,7 @@ class World:
         return self.stepper.advance(substeps)
 
     def observe(self, out: np.ndarray | None = None) -> np.ndarray:
-        """What the camera sees: (84, 84, 3) uint8 RGB, written to `out` if that is given."""
+        """The observation: (84, 84, 3) uint8 RGB, written to `out` if that is given."""
         image = self._scene.image(self.data.qpos, self.stepper.hit).rgb
         if out is None:
             return image.copy()
@@ -124,23 +124,23 @@ class World:
 
     @property
     def drawing(self) -> Drawing:
-        """What compiled code draws this world from, until the next `load`."""
+        """The input of compiled code that draws this world; valid until the next `load`."""
         return self._scene.drawing
 
     def segmentation(self) -> np.ndarray:
-        """(84, 84) int32: id of the geom that each pixel shows."""
+        """(84, 84) int32: id of the geom at each pixel."""
         return self._scene.image(self.data.qpos, self.stepper.hit).label.copy()
 
     def depth(self) -> np.ndarray:
-        """(84, 84) float32: metres to what each pixel shows, along the viewing direction; infinite for nothing."""
+        """(84, 84) float32: distance in metres along the viewing direction; infinite where there is nothing."""
         return self._scene.image(self.data.qpos, self.stepper.hit).depth.astype(np.float32)
 
     def normals(self) -> np.ndarray:
-        """(84, 84, 3) float32: unit vector out of what each pixel shows, in the world's frame; 0 for nothing."""
+        """(84, 84, 3) float32: unit normal of the visible surface, in the world's frame; 0 where there is nothing."""
         return self._scene.image(self.data.qpos, self.stepper.hit, normals=True).normal.copy()
 
     def shown_colours(self) -> tuple[np.ndarray, np.ndarray]:
-        """Geoms (n,) of the objects on the table, and the colours (n, 3), 0–255, in which they are shown now."""
+        """Geoms (n,) of the objects on the table, and their colours (n, 3), 0–255, at present."""
         return self._scene.shown_colours(self.stepper.hit)
 
     def object_state(self) -> np.ndarray:
@@ -148,17 +148,17 @@ class World:
         return self.stepper.states()
 
     def save_state(self) -> np.ndarray:
-        """(S,) float64: everything that the future depends on, besides the puzzle."""
+        """(S,) float64: all that the world's future depends on, except the puzzle."""
         state = np.empty(mujoco.mj_stateSize(self.model, _STATE))
         mujoco.mj_getState(self.model, self.data, state, _STATE)
         hit = self.stepper.hit[list(GOAL_INDEX.values())].astype(float)
         return np.concatenate([state, self.data.tree_asleep.astype(float), hit])
 
     def restore_state(self, state: np.ndarray) -> None:
-        """Go back, bit for bit, to a state saved from a world with the same puzzle.
+        """Restore, bit for bit, a state saved from a world with the same puzzle.
 
         Raises:
-            ArtefactError: if the state is damaged, or has another size: it comes from another version of the model.
+            ArtefactError: if the state is damaged, or has another size because it is of another version of the model.
         """
         size = mujoco.mj_stateSize(self.model, _STATE)
         n = len(self.inventory)
@@ -168,11 +168,11 @@ class World:
             raise ArtefactError(f"world state: {found}; it was saved by another version of the world, start anew")
         asleep = state[size : size + n]
         if not ((asleep == np.round(asleep)) & (asleep >= AWAKE) & (asleep < n)).all():
-            raise ArtefactError("world state: who sleeps is no list of objects; it was damaged, start anew")
+            raise ArtefactError("world state: its sleep entries are not object indices; it was damaged, start anew")
         sleepers = np.flatnonzero(asleep >= 0)
-        if not np.array_equal(np.sort(asleep[sleepers]), sleepers):  # MuJoCo ends the process if it meets no ring
+        if not np.array_equal(np.sort(asleep[sleepers]), sleepers):  # without a ring, MuJoCo ends the process
             raise ArtefactError(
-                "world state: sleepers do not point to one another in rings; it was damaged, start anew"
+                "world state: its sleeping objects do not point to one another in rings; it was damaged, start anew"
             )
         mujoco.mj_resetData(self.model, self.data)
         mujoco.mj_setState(self.model, self.data, state[:size], _STATE)
@@ -180,14 +180,14 @@ class World:
         self.stepper.hit[list(GOAL_INDEX.values())] = state[size + n :] > 0
 
     def _wake_and_sleep(self, asleep: np.ndarray, state: np.ndarray | None = None) -> None:
-        """Compute every body's derived quantities, which MuJoCo leaves alone while it sleeps; then let them sleep."""
+        """Compute all derived quantities, then put bodies to sleep: MuJoCo does not update bodies that sleep."""
         mujoco.mj_forward(self.model, self.data)
         if state is not None:  # mj_forward overwrote the warm start
             mujoco.mj_setState(self.model, self.data, state, _STATE)
         set_asleep(self.model, self.data, asleep)
 
     def _chosen(self, puzzle: Puzzle) -> list[list[int]]:
-        """For each placement, the bodies that it takes: one, or the light cubes of a stack."""
+        """For each placement, the indices of its bodies: one body, or the light cubes of a stack."""
         used = dict.fromkeys(self._of_kind, 0)
         chosen: list[list[int]] = []
         for item in puzzle.objects:
@@ -239,7 +239,7 @@ def _rebuilt(options: WorldOptions, state: tuple[Puzzle, bool, np.ndarray] | Non
 
 @functools.lru_cache(maxsize=64)
 def _parked_state(model: mujoco.MjModel) -> np.ndarray:
-    """Integration state of the model with all objects parked and settled on the ground, at time 0."""
+    """Integration state of the model at time 0, after all parked objects have settled on the ground."""
     data = mujoco.MjData(model)
     for _ in range(500 * round(c.TIMESTEP_S / model.opt.timestep)):
         mujoco.mj_step(model, data)

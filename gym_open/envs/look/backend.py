@@ -1,4 +1,4 @@
-"""Which OpenGL draws without a screen here. MuJoCo is not imported: it dies of MUJOCO_GL naming one that is missing."""
+"""Find an OpenGL backend that draws without a screen. MuJoCo is not imported: a wrong MUJOCO_GL breaks its import."""
 
 import ctypes
 import os
@@ -8,25 +8,25 @@ from gym_open.errors import GymOpenError
 
 _LIBRARIES = {"egl": ("libEGL.so.1", "libOpenGL.so.0"), "osmesa": ("libOSMesa.so.8",)}
 _OTHERS = ("glfw", "glx", "enable", "enabled", "on", "true", "1", "disable", "disabled", "off", "false", "0", "")
-"""What else MuJoCo takes."""
+"""Other values that MuJoCo accepts."""
 INSTALL = "on Debian and Ubuntu: apt-get install libegl1 libopengl0 libgl1-mesa-dri"
-"""What to do where there is none."""
+"""Remedy if there is no OpenGL."""
 
 
 class OpenGLError(GymOpenError):
-    """There is no OpenGL to draw with."""
+    """No OpenGL is available."""
 
 
 def find_backend() -> str | None:
-    """The value of MUJOCO_GL that draws without a screen here: what is set already, else what can be loaded."""
+    """The value of MUJOCO_GL to draw without a screen: the present value, else the first backend that can be loaded."""
     return os.environ.get("MUJOCO_GL") or next((name for name in _LIBRARIES if _loads(name)), None)
 
 
 def check_backend() -> None:
-    """To be called before MuJoCo is imported, which needs what MUJOCO_GL names even where nothing is drawn.
+    """Check MUJOCO_GL. Call this before MuJoCo is imported: the import needs that library even if nothing is drawn.
 
     Raises:
-        OpenGLError: if that is missing or unknown; says what to do.
+        OpenGLError: if the library is missing or unknown; gives the remedy.
     """
     asked = os.environ.get("MUJOCO_GL", "").lower().strip()
     if sys.platform != "linux":

@@ -1,4 +1,4 @@
-"""A `mujoco.Renderer` on whatever OpenGL draws without a screen here."""
+"""Open a `mujoco.Renderer` on an OpenGL backend that draws without a screen."""
 
 import importlib
 import sys
@@ -11,12 +11,13 @@ from gym_open.envs.look.backend import INSTALL, OpenGLError, find_backend
 
 
 def open_renderer(model: mujoco.MjModel, width: int, height: int) -> mujoco.Renderer:
-    """A renderer of pictures of this size, to be used and closed on the thread that opened it.
+    """Open a renderer for images of this size. Use and close it on the thread that opened it.
 
-    MuJoCo chooses its OpenGL as it is imported, and dies of a library that is missing; so this chooses for it, later.
+    MuJoCo chooses its OpenGL when it is imported, and the import fails if that library is missing. So this function
+    chooses later, and replaces MuJoCo's choice.
 
     Raises:
-        OpenGLError: if there is no OpenGL here; says what to install.
+        OpenGLError: if there is no OpenGL; names the packages to install.
     """
     try:
         if sys.platform == "linux":
@@ -25,15 +26,16 @@ def open_renderer(model: mujoco.MjModel, width: int, height: int) -> mujoco.Rend
         return mujoco.Renderer(model, height, width)
     except OpenGLError:
         raise
-    except Exception as error:  # each library fails in its own way
-        raise OpenGLError(f"OpenGL gives no picture of {width}×{height}: {error}; {INSTALL}") from error
+    except Exception as error:  # each library raises other errors
+        raise OpenGLError(f"OpenGL gives no image of {width}×{height}: {error}; {INSTALL}") from error
 
 
 def _load_triton() -> None:
     """Load Triton, if it is installed, before OpenGL.
 
-    PyTorch with CUDA imports Triton 3.9 with its first optimizer. Where Mesa's LLVM is loaded already, Triton takes
-    functions of that for its own, and the process ends with a segmentation fault. In this order both work.
+    PyTorch with CUDA imports Triton 3.9 when it makes its first optimizer. If Mesa's LLVM is loaded already, Triton
+    calls functions of Mesa's LLVM instead of its own, and the process ends with a segmentation fault. In this order
+    both work.
     """
     with suppress(ImportError):
         importlib.import_module("triton")
@@ -42,7 +44,7 @@ def _load_triton() -> None:
 def _linux_context() -> type:
     backend = find_backend()
     if backend is None:
-        raise OpenGLError(f"no OpenGL library was found, which this picture needs; {INSTALL}")
+        raise OpenGLError(f"no OpenGL library was found, which this image needs; {INSTALL}")
     if backend == "egl":
         from mujoco.egl import GLContext
     elif backend == "osmesa":

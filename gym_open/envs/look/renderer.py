@@ -1,7 +1,7 @@
 """The handsome look, for people: shadows, gloss and cloth, at any size, drawn by `mujoco.Renderer`.
 
-It shows the same model with other materials and lights, so a world's state copies over as it is. Textures are drawn
-here from fixed seeds: there is no picture file.
+It uses the same model with other materials and lights, so a world's state can be copied without change. Textures are
+computed here from fixed seeds: there are no image files.
 """
 
 from typing import Literal, Self
@@ -15,7 +15,7 @@ from gym_open.envs.physics.model import model_xml
 from gym_open.envs.world import World
 
 View = Literal["people", "observation"]
-"""`people`: further back and with a longer lens than `observation`, the camera of the world's options."""
+"""`observation` is the camera of the world's options; `people` is further back, with a longer lens."""
 
 Size = tuple[int, int]
 """Width and height in pixels."""
@@ -24,9 +24,9 @@ _PEOPLE_POSITION = (-0.9, -2.7, 2.7)
 _PEOPLE_AIM = (0.042, -0.301, 0.0)
 _PEOPLE_FIELD_OF_VIEW = 31.0
 _SHADOWED = 2.2
-"""Half edge in metres of the square around the table's middle in which there are shadows."""
+"""Half edge in metres of the square around the table's middle that has shadows."""
 _MATERIALS = {
-    # name: gloss (specular), sharpness of the gloss (shininess), mirror (reflectance), texture, its repeats
+    # name: specular, shininess, reflectance, texture, repeats of the texture
     "table": (0.25, 0.5, 0.0, "felt", 4),
     "floor": (0.05, 0.1, 0.0, "burlap", 40),
     "wall": (0.35, 0.4, 0.0, "grain", 1),
@@ -36,10 +36,10 @@ _MATERIALS = {
 
 
 class Renderer:
-    """Pictures of worlds with these options. Use and close it on one thread; it is its own context manager.
+    """Draws worlds with these options. Use and close it on one thread; it is a context manager.
 
     Raises:
-        OpenGLError: if there is no OpenGL here; says what to install.
+        OpenGLError: if there is no OpenGL; names the packages to install.
     """
 
     def __init__(self, options: WorldOptions, size: Size = (512, 512), view: View = "people") -> None:
@@ -56,16 +56,16 @@ class Renderer:
         self.close()
 
     def close(self) -> None:
-        """Give OpenGL's memory back."""
+        """Free OpenGL's memory."""
         self._renderer.close()
 
     def render(self, world: World) -> np.ndarray:
-        """The world as it is now, (height, width, 3) uint8; goals are in their hit colour where `observe` shows it."""
+        """Draw the world's current state, (height, width, 3) uint8; hit goals have the same colours as in `observe`."""
         data, model = self._data, self._model
         for field in ("qpos", "mocap_pos", "mocap_quat"):
             getattr(data, field)[:] = getattr(world.data, field)
         geoms, colours = world.shown_colours()
-        model.geom_rgba[self._movers, 3] = 0  # what is parked is not drawn
+        model.geom_rgba[self._movers, 3] = 0  # parked objects are not drawn
         model.geom_rgba[geoms, :3] = colours / 255
         model.geom_rgba[geoms, 3] = 1
         mujoco.mj_kinematics(model, data)
@@ -114,10 +114,10 @@ def _add_materials(spec: mujoco.MjSpec) -> None:
 
 
 def _add_lights(spec: mujoco.MjSpec) -> None:
-    """The world's own directional light casts shadows, a lamp beside the camera fills them a little."""
+    """Let the world's directional light cast shadows, and add a lamp next to the camera that softens them."""
     (sun,) = spec.lights
     sun.castshadow = True
-    sun.pos = -4 * np.array(sun.dir) / np.linalg.norm(sun.dir)  # the shadow map is centred on its ray
+    sun.pos = -4 * np.array(sun.dir) / np.linalg.norm(sun.dir)  # the shadow map is centred on the sun's ray
     sun.diffuse, sun.ambient, sun.specular = [0.6] * 3, [0.0] * 3, [0.45] * 3
     spec.worldbody.add_light(
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
@@ -125,13 +125,13 @@ def _add_lights(spec: mujoco.MjSpec) -> None:
         dir=(0.1, 0.75, -0.65),
         castshadow=False,
         diffuse=[0.22] * 3,
-        ambient=[0.4] * 3,  # of this lamp, as MuJoCo takes the sun's own away in the shadow
+        ambient=[0.4] * 3,  # on this lamp, because in a shadow MuJoCo removes the sun's ambient light
         specular=[0.15] * 3,
     )
 
 
 def _looking_at(position: tuple[float, float, float], aim: tuple[float, float, float]) -> np.ndarray:
-    """Quaternion of a camera at `position` that sees `aim` in the middle of its picture, z upwards."""
+    """Quaternion of a camera at `position` that has `aim` in the middle of its image, with z upwards."""
     back = np.subtract(position, aim)
     back /= np.linalg.norm(back)
     right = np.cross((0, 0, 1), back)
@@ -142,13 +142,13 @@ def _looking_at(position: tuple[float, float, float], aim: tuple[float, float, f
 
 
 def _felt() -> np.ndarray:
-    """Cloth of short fibres: fine noise, with little of the coarse."""
+    """Cloth of short fibres: fine noise with a little coarse noise."""
     noise = np.random.default_rng(0).normal(size=(512, 512))
     return np.clip(0.93 + 0.035 * noise + 0.05 * _blurred(noise, 4), 0, 1)
 
 
 def _burlap() -> np.ndarray:
-    """Threads over and under one another, uneven in thickness."""
+    """Woven threads of uneven thickness."""
     rng = np.random.default_rng(1)
     x, y = np.meshgrid(np.arange(256), np.arange(256))
     weave = np.where((x // 16 + y // 16) % 2, np.abs(np.sin(np.pi * x / 16)), np.abs(np.sin(np.pi * y / 16)))
@@ -156,13 +156,13 @@ def _burlap() -> np.ndarray:
 
 
 def _grain() -> np.ndarray:
-    """Wood: noise drawn out along one axis."""
+    """Wood: noise stretched along one axis."""
     noise = np.random.default_rng(2).normal(size=(256, 256))
     return np.clip(0.9 + 0.12 * _blurred(noise, 24, axes=(1,)), 0, 1)
 
 
 def _blurred(noise: np.ndarray, width: int, axes: tuple[int, ...] = (0, 1)) -> np.ndarray:
-    """Means over `width` neighbours, periodic, scaled back to deviation 1."""
+    """Periodic means over `width` neighbours, scaled to standard deviation 1."""
     for axis in axes:
         noise = np.mean([np.roll(noise, shift, axis) for shift in range(width)], axis=0)
     return noise / noise.std()

@@ -1,8 +1,8 @@
-"""An analytic ray caster for spheres, boxes and meshes: the observation, without OpenGL.
+"""An analytic ray caster for spheres, boxes and meshes: it draws the observation without OpenGL.
 
-Colour, depth, segmentation and normals come out together. Light is Lambert's, from one directional and one even light,
-as `mujoco.Renderer` shades the same scene without specular reflection and shadow: the parity test holds it to that.
-Numba does not notice changed constants of other modules in its cache, so everything comes in as an argument.
+It computes colour, depth, segmentation and normals together. Shading is Lambertian, from one directional and one
+ambient light, as in `mujoco.Renderer` without specular reflection and shadow; the parity test checks this.
+Numba's cache does not notice changed constants of other modules, so all values are arguments.
 """
 
 import math
@@ -13,71 +13,71 @@ import numpy as np
 from gym_open.envs.jit import compiled
 
 SPHERE, BOX, MESH = 0, 1, 2
-"""Forms of a shape."""
+"""Values of `Shapes.form`."""
 
 
 class Camera(NamedTuple):
-    """A pinhole camera and the light that it sees by."""
+    """A pinhole camera, and the light of the scene."""
 
     position: np.ndarray
     """(3,) metres."""
     axes: np.ndarray
-    """(3, 3): right, up and forward."""
+    """(3, 3): unit vectors right, up and forward."""
     rays: np.ndarray
-    """(height, width, 3): through each pixel's centre, of length 1 along forward."""
+    """(height, width, 3): vectors through the pixels' centres, of length 1 along forward."""
     slope: float
     """Tangent of half the field of view."""
     light: np.ndarray
-    """(5,): unit vector towards the light, its strength, strength of the even light."""
+    """(5,): unit vector towards the light, its strength, strength of the ambient light."""
 
 
 class Shapes(NamedTuple):
-    """Bodies to cast, one a row."""
+    """Shapes to draw, one per row."""
 
     position: np.ndarray
     """(n, 3) metres."""
     rotation: np.ndarray
-    """(n, 3, 3): columns are the body's axes."""
+    """(n, 3, 3): the columns are the body's axes."""
     size: np.ndarray
-    """(n, 3): half edges of a box; three times the radius of a sphere, or of the ball that holds a mesh."""
+    """(n, 3): half edges of a box; or three equal numbers, the radius of a sphere or of a mesh's bounding sphere."""
     form: np.ndarray
     """(n,) int8: `SPHERE`, `BOX` or `MESH`."""
     mesh: np.ndarray
-    """(n, 2) int32: first and past-last of a mesh's triangles."""
+    """(n, 2) int32: indices of a mesh's first triangle, and of the one after its last."""
     colour: np.ndarray
     """(n, 3): 0–255."""
     label: np.ndarray
-    """(n,) int32: what segmentation shows."""
+    """(n,) int32: value in the segmentation."""
 
 
 class Triangles(NamedTuple):
-    """The triangles of all meshes, each in its body's frame; seen only from the side where its corners turn left."""
+    """The triangles of all meshes, in their bodies' frames; visible where their corners run counter-clockwise."""
 
     corner: np.ndarray
     """(T, 3, 3) metres."""
     normal: np.ndarray
-    """(T, 3, 3): unit vector at each corner; light varies evenly between them."""
+    """(T, 3, 3): unit normal at each corner; brightness is interpolated between corners."""
     plane: np.ndarray
-    """(T, 4): a point x is before the triangle if the first three · x are more than the last."""
+    """(T, 4): a point x is in front of the triangle if plane[:3] · x > plane[3]."""
 
 
 class Image(NamedTuple):
-    """What the camera sees."""
+    """The output of the camera."""
 
     rgb: np.ndarray
     """(height, width, 3) uint8."""
     depth: np.ndarray
-    """(height, width) metres along forward; infinite where there is nothing."""
+    """(height, width): metres along forward; infinite where there is nothing."""
     label: np.ndarray
-    """(height, width) int32; −1 where there is nothing."""
+    """(height, width) int32: label of the visible shape; −1 where there is nothing."""
     normal: np.ndarray
-    """(height, width, 3) float32: unit vectors out of what is seen, in the world's frame; 0 where there is nothing."""
+    """(height, width, 3) float32: unit normals of visible surfaces, in the world's frame; 0 where there is nothing."""
 
 
 def square_camera(
     position: np.ndarray, axes: np.ndarray, field_of_view_deg: float, size: int, light: np.ndarray
 ) -> Camera:
-    """A camera whose images are `size` pixels high and wide; the other arguments as in `Camera`."""
+    """A camera with images of `size` × `size` pixels; the other arguments are as in `Camera`."""
     # NumPy's own tangent rounds differently on processors with AVX-512.
     slope = math.tan(math.radians(field_of_view_deg) / 2)
     grid = ((np.arange(size) + 0.5) / size * 2 - 1) * slope
@@ -86,7 +86,7 @@ def square_camera(
 
 
 def empty_image(size: int) -> Image:
-    """A black image of nothing."""
+    """A black image without shapes."""
     return Image(
         np.zeros((size, size, 3), np.uint8),
         np.full((size, size), np.inf),
@@ -97,7 +97,7 @@ def empty_image(size: int) -> Image:
 
 @compiled
 def _span(across: float, ahead: float, reach: float, slope: float, pixels: int) -> tuple[int, int]:
-    """First and past-last pixel of one image axis that a ball of radius `reach` can touch."""
+    """Range of pixels (first, past-last) on one image axis that a ball of radius `reach` can cover."""
     near, far = ahead - reach, ahead + reach
     if far <= 0:
         return 0, 0
@@ -113,7 +113,7 @@ def _span(across: float, ahead: float, reach: float, slope: float, pixels: int) 
 
 @compiled
 def _hit_sphere(ray: np.ndarray, offset: np.ndarray, radius: float, normal: np.ndarray) -> float:
-    """Where the ray from the origin enters the ball at `offset` (infinite if it does not); sets the normal there."""
+    """Ray parameter where the ray from the origin enters the ball at `offset` (infinite: never); sets the normal."""
     a = ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2]
     b = ray[0] * offset[0] + ray[1] * offset[1] + ray[2] * offset[2]
     q = offset[0] * offset[0] + offset[1] * offset[1] + offset[2] * offset[2] - radius * radius
@@ -128,7 +128,7 @@ def _hit_sphere(ray: np.ndarray, offset: np.ndarray, radius: float, normal: np.n
 
 @compiled
 def _hit_box(ray: np.ndarray, offset: np.ndarray, turn: np.ndarray, half: np.ndarray, normal: np.ndarray) -> float:
-    """Where the ray from the origin enters the box at `offset` (infinite if it does not); sets the normal there."""
+    """Ray parameter where the ray from the origin enters the box at `offset` (infinite: never); sets the normal."""
     enter, leave = 0.0, np.inf
     face, sign = -1, 0.0
     for k in range(3):
@@ -161,7 +161,7 @@ def _brightness(normal: np.ndarray, light: np.ndarray) -> float:
 def _set_pixel(  # noqa: PLR0917  # numba takes arrays, not objects
     image: Image, row: int, column: int, shapes: Shapes, i: int, depth: float, bright: float, normal: np.ndarray
 ) -> None:
-    """Show shape `i` at this pixel, in its colour times `bright`."""
+    """Draw shape `i` at this pixel, with its colour times `bright`."""
     image.depth[row, column] = depth
     image.label[row, column] = shapes.label[i]
     for k in range(3):
@@ -192,7 +192,7 @@ def _cross(a: tuple[float, float, float], b: tuple[float, float, float]) -> tupl
 
 @compiled
 def _centres_between(a: float, b: float, c: float, slope: float, pixels: int) -> tuple[int, int]:
-    """First and past-last pixel of one image axis whose centre is between the least and greatest of three slopes."""
+    """Range of pixels (first, past-last) on one image axis with centres between the extremes of three slopes."""
     low, high = min(a, b, c) / slope, max(a, b, c) / slope
     first = np.ceil((max(low, -1.0) + 1) / 2 * pixels - 0.5)
     last = np.floor((min(high, 1.0) + 1) / 2 * pixels - 0.5)
@@ -210,17 +210,17 @@ def _paint_triangle(  # noqa: PLR0917  # numba takes arrays, not objects
     camera: Camera,
     image: Image,
 ) -> None:
-    """Show a triangle of mesh `i` inside the window (top, bottom, left, right).
+    """Draw a triangle of mesh `i` inside the window (top, bottom, left, right).
 
     Args:
-        shapes: of which it is one.
-        i: which.
-        planes: (4, 3): normals of the planes through the camera and each side; the last row is room to work in.
-        volume: six times that of the pyramid from the camera to the triangle.
-        normals: (3, 3): at its corners, in the world's frame.
-        window: where to look.
-        camera: whose frame `planes` is in.
-        image: to paint.
+        shapes: all shapes.
+        i: index of the mesh in `shapes`.
+        planes: (4, 3): normals of the planes through the camera and each side; the last row is working memory.
+        volume: six times the volume of the pyramid from the camera to the triangle.
+        normals: (3, 3): normals at the triangle's corners, in the world's frame.
+        window: range of pixels to draw in.
+        camera: the camera; `planes` is in its frame.
+        image: the image to draw into.
     """
     height, width = image.depth.shape
     p, q, r, normal = planes[0], planes[1], planes[2], planes[3]
@@ -246,7 +246,7 @@ def _paint_triangle(  # noqa: PLR0917  # numba takes arrays, not objects
 def _paint_mesh(  # noqa: PLR0917  # numba takes arrays, not objects
     shapes: Shapes, i: int, triangles: Triangles, camera: Camera, place: np.ndarray, image: Image
 ) -> None:
-    """Cast mesh `i`, whose origin is at `place` in the camera's frame: most of its triangles lie between two pixels."""
+    """Draw mesh `i`, with its origin at `place` in the camera's frame. Most triangles cover no pixel's centre."""
     height, width = image.depth.shape
     turn, slope, plane = shapes.rotation[i], camera.slope, triangles.plane
     view, planes, normals = np.empty((3, 3)), np.empty((4, 3)), np.empty((3, 3))
@@ -256,7 +256,7 @@ def _paint_mesh(  # noqa: PLR0917  # numba takes arrays, not objects
     eye = _turned(turn.T, x, y, z)
     for t in range(shapes.mesh[i, 0], shapes.mesh[i, 1]):
         if plane[t, 0] * eye[0] + plane[t, 1] * eye[1] + plane[t, 2] * eye[2] <= plane[t, 3]:
-            continue  # its back
+            continue  # its back faces the camera
         a, b, c = (
             _corner(view, place, triangles.corner, t, 0),
             _corner(view, place, triangles.corner, t, 1),
@@ -264,7 +264,7 @@ def _paint_mesh(  # noqa: PLR0917  # numba takes arrays, not objects
         )
         p = _cross(b, c)
         volume = a[0] * p[0] + a[1] * p[1] + a[2] * p[2]
-        if volume <= 0 or (a[2] <= 0 and b[2] <= 0 and c[2] <= 0):  # seen along its edge, or behind the camera
+        if volume <= 0 or (a[2] <= 0 and b[2] <= 0 and c[2] <= 0):  # the triangle is edge-on, or behind the camera
             continue
         left, right, top, bottom = 0, width, 0, height
         if a[2] > 0 and b[2] > 0 and c[2] > 0:
@@ -283,7 +283,7 @@ def _paint_mesh(  # noqa: PLR0917  # numba takes arrays, not objects
 
 @compiled
 def paint(shapes: Shapes, triangles: Triangles, camera: Camera, image: Image) -> None:
-    """Cast the shapes into the image, each only inside its screen rectangle."""
+    """Draw the shapes into the image, each only inside its bounding rectangle."""
     height, width = image.depth.shape
     normal, offset, place = np.empty(3), np.empty(3), np.empty(3)
     for i in range(shapes.label.shape[0]):

@@ -1,7 +1,7 @@
-"""The image of a world, drawn from its compiled model: what stands still once a puzzle, what moves every frame.
+"""Draw a world from its compiled model: static shapes once per puzzle, moving shapes once per image.
 
-All of the look is in the model: the geoms of MuJoCo's visible groups (0–2), their sizes and colours, the camera named
-`observation`, and the one directional light.
+The model determines the whole look: the geoms of MuJoCo's visible groups (0–2), their sizes and colours, the camera
+named `observation`, and the directional light.
 """
 
 from typing import NamedTuple
@@ -29,23 +29,23 @@ _GEOM = mujoco.mjtGeom
 _FORMS = {int(_GEOM.mjGEOM_SPHERE): SPHERE, int(_GEOM.mjGEOM_BOX): BOX, int(_GEOM.mjGEOM_MESH): MESH}
 _UNSEEN_GROUP = 3
 _SMOOTH = 0.8
-"""Cosine between a triangle and the mesh's normal at its corner beyond which the mesh is round there."""
+"""Cosine between a triangle's normal and the mesh's normal at its corner, above which the mesh is smooth there."""
 _STILL_POSE = np.array([0, 0, 0, 1, 0, 0, 0], float)
 
 
 class Parts(NamedTuple):
-    """Geoms on what carries them, one a row."""
+    """Geoms, each fixed to a moving body (its carrier), one per row."""
 
     carrier: np.ndarray
-    """(n,) row in the carriers' poses (position and quaternion: 7 numbers each)."""
+    """(n,) row of the carrier in the array of poses (position and quaternion: 7 numbers each)."""
     place: np.ndarray
     """(n, 7): pose in the carrier's frame."""
     colour: np.ndarray
-    """(n, 2, 3): 0–255, before and after its carrier was hit."""
+    """(n, 2, 3): 0–255, before and after the carrier was hit."""
 
 
 class Drawing(NamedTuple):
-    """All that drawing a frame needs, in one argument for compiled code."""
+    """All data needed to draw an image, as one argument of compiled code."""
 
     parts: Parts
     shapes: Shapes
@@ -57,7 +57,7 @@ class Drawing(NamedTuple):
 
 @compiled
 def place_parts(poses: np.ndarray, parts: Parts, shapes: Shapes) -> None:
-    """Set position and rotation of the shapes of all parts; `poses` is flat."""
+    """Set position and rotation of the shapes of all parts; `poses` is a flat array."""
     for i in range(parts.carrier.shape[0]):
         k = 7 * parts.carrier[i]
         x, y, z = parts.place[i, 0], parts.place[i, 1], parts.place[i, 2]
@@ -97,9 +97,9 @@ def draw(qpos: np.ndarray, hit: np.ndarray, drawing: Drawing, normals: bool) -> 
 
     Args:
         qpos: (7 · n_objects,).
-        hit: (n_objects,) bool: which were hit.
-        drawing: what to draw, and where.
-        normals: whether the image's normals are wanted; without, they are right only where an object is.
+        hit: (n_objects,) bool: whether each object was hit.
+        drawing: the shapes and the image.
+        normals: whether to compute all normals; if False, only those of objects are valid.
     """
     parts, shapes, still, image = drawing.parts, drawing.shapes, drawing.still, drawing.image
     place_parts(qpos, parts, shapes)
@@ -116,14 +116,14 @@ def draw(qpos: np.ndarray, hit: np.ndarray, drawing: Drawing, normals: bool) -> 
 
 
 class Scene:
-    """Draws one world; keeps its buffers from frame to frame."""
+    """Draws one world; it reuses its buffers for all images."""
 
     def __init__(self, model: mujoco.MjModel, image_size: int) -> None:
         self._model = model
         self._camera = model_camera(model, image_size)
         self._triangles, self._mesh_range = _triangles(model)
         seen = [i for i in range(model.ngeom) if model.geom_group[i] < _UNSEEN_GROUP and model.geom_rgba[i, 3] > 0]
-        # A body weld to the world stands still; a mocap body does until the next load; all others have a free joint.
+        # A body welded to the world never moves; a mocap body moves only at a load; all others have a free joint.
         body = model.geom_bodyid
         movers = [i for i in seen if model.body_dofnum[body[i]]]
         self._pieces = [i for i in seen if model.body_mocapid[body[i]] >= 0]
@@ -140,12 +140,12 @@ class Scene:
         self._drawing = self._drawing_of(np.zeros(0, np.int64), recolour_hits=False)
 
     def load(self, data: mujoco.MjData, present: np.ndarray, *, recolour_hits: bool) -> None:
-        """Cast what stands still in this puzzle, and note which objects move.
+        """Draw the static shapes of this puzzle, and select the objects that move.
 
         Args:
-            data: where its mocap bodies are; one that is still where the model has it is parked, and not drawn.
-            present: (n_objects,) bool.
-            recolour_hits: whether goals turn their hit colour.
+            data: MuJoCo data; a mocap body at its position in the model is parked, and is not drawn.
+            present: (n_objects,) bool: whether each object is on the table.
+            recolour_hits: whether touched goals turn their hit colour.
         """
         for have, put in zip(self._table, self._still, strict=True):
             put[...] = have
@@ -157,22 +157,22 @@ class Scene:
 
     @property
     def drawing(self) -> Drawing:
-        """What `draw` takes, until the next `load`."""
+        """The argument of `draw`; valid until the next `load`."""
         return self._drawing
 
     def image(self, qpos: np.ndarray, hit: np.ndarray, *, normals: bool = False) -> Image:
-        """The image (reused by the next call) of the objects at `qpos`.
+        """Draw the objects at `qpos`; the next call overwrites the image.
 
         Args:
             qpos: (7 · n_objects,).
-            hit: (n_objects,) bool: which goals were hit.
-            normals: whether normals are wanted; without, the image's are not to be used.
+            hit: (n_objects,) bool: whether each goal was hit.
+            normals: whether to compute all normals; if False, do not use them.
         """
         draw(qpos, hit, self._drawing, normals)
         return self._picture
 
     def shown_colours(self, hit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Geoms (n,) of what moves, and their colours (n, 3), 0–255, with `hit` (n_objects,) saying which were hit."""
+        """Geoms (n,) of moving objects, and their colours (n, 3), 0–255; `hit` (n_objects,): whether each was hit."""
         parts, shapes = self._drawing.parts, self._drawing.shapes
         return shapes.label.copy(), parts.colour[np.arange(len(shapes.label)), hit[parts.carrier].astype(int)]
 
@@ -217,7 +217,7 @@ class Scene:
 
 
 def model_camera(model: mujoco.MjModel, image_size: int) -> Camera:
-    """The model's camera `observation`, and its light."""
+    """The model's camera `observation`, with the model's light."""
     index = model.camera("observation").id
     axes = np.zeros(9)
     mujoco.mju_quat2Mat(axes, model.cam_quat[index])
@@ -230,7 +230,7 @@ def model_camera(model: mujoco.MjModel, image_size: int) -> Camera:
 
 
 def _triangles(model: mujoco.MjModel) -> tuple[Triangles, dict[int, tuple[int, int]]]:
-    """All meshes' triangles, and each mesh's first and past-last of them."""
+    """The triangles of all meshes, and the range (first, past-last) of each mesh."""
     corners, normals, ranges, count = [np.zeros((0, 3, 3))], [np.zeros((0, 3, 3))], {}, 0
     for mesh in range(model.nmesh):
         first, number = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
@@ -248,7 +248,7 @@ def _triangles(model: mujoco.MjModel) -> tuple[Triangles, dict[int, tuple[int, i
 
 
 def _creased(corner: np.ndarray, smooth: np.ndarray) -> np.ndarray:
-    """Normals (T, 3, 3) at triangles' corners: the smooth ones, but the triangle's own at an edge, as MuJoCo draws."""
+    """Normals (T, 3, 3) at triangles' corners, as MuJoCo draws: smooth ones, but the triangle's own at an edge."""
     flat = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     flat /= np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-30)
     flat = np.broadcast_to(flat[:, None], smooth.shape)
