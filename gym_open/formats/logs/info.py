@@ -1,7 +1,7 @@
 """What log files hold and how they are, whole or damaged: for a person to read."""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
@@ -9,16 +9,15 @@ import numpy as np
 from rich.table import Table
 
 from gym_open import progress
-from gym_open.errors import GymOpenError
 from gym_open.formats.logs import schemas
-from gym_open.formats.logs.container import Damage, Logged, read_head, scan, whole_chunks
-from gym_open.formats.logs.logfile import LogFile, parse_head
+from gym_open.formats.logs.container import Damage
+from gym_open.formats.logs.logfile import foreign, open_whole_chunks
 from gym_open.formats.logs.messages import decode_segment, decode_stuck, decode_switch
 from gym_open.formats.logs.reader import found_files
-from gym_open.formats.logs.schemas import LogError, LogHead, Stuck, Switch
+from gym_open.formats.logs.schemas import LogHead, Stuck, Switch
 from gym_open.terminal import markup, titled_table
 
-_NO_PICTURE = np.empty(0)
+_NO_IMAGE = np.empty(0)
 
 
 class FileInfo(msgspec.Struct):
@@ -63,36 +62,20 @@ def inspect(path: Path) -> FileInfo:
     Raises:
         LogError: if it is missing or none of ours, or damaged before its first step.
     """
-    if not path.is_file():
-        raise LogError(f"{path}: no such log")
+    file, damage = open_whole_chunks(path)
+    info = FileInfo(path, path.stat().st_size, file.head, file.part, file.goes_on, damage)
+    info.messages.update({topic: file.count(topic) for topic in schemas.DEFINITIONS})
     try:
-        head, part = parse_head(read_head(path))
-        info = FileInfo(path, path.stat().st_size, head, part)
-        contents, info.damage = scan(path)
-        info.goes_on = schemas.CONTINUES in contents.metadata
-        if info.damage is None:
-            file = LogFile(path, contents, head, part, info.goes_on)
-            info.messages.update({topic: file.count(topic) for topic in schemas.DEFINITIONS})
-            _take_in(info, file.messages(schemas.SEGMENT, schemas.SWITCH, schemas.STUCK))
-        else:
-            for chunk in whole_chunks(path):
-                info.messages.update(message.topic for message in chunk)
-                _take_in(info, chunk)
-    except Damage as damage:
-        raise LogError(f"{path}: damaged at byte {damage.offset}: {damage.what}; no step before it is whole") from None
-    except (ValueError, KeyError, GymOpenError) as error:
-        raise LogError(f"{path}: not a log of gym-open, or of another version: {error}") from None
+        for message in file.messages(schemas.SEGMENT, schemas.SWITCH, schemas.STUCK):
+            if message.topic == schemas.SWITCH:
+                info.switches.append(decode_switch(message.data))
+            elif message.topic == schemas.STUCK:
+                info.stuck.append(decode_stuck(message.data))
+            elif info.first_world is None:
+                info.first_world = decode_segment(message.data, file.head.puzzles, _NO_IMAGE).world
+    except ValueError as error:
+        raise foreign(path, error) from None
     return info
-
-
-def _take_in(info: FileInfo, messages: Iterable[Logged]) -> None:
-    for message in messages:
-        if message.topic == schemas.SWITCH:
-            info.switches.append(decode_switch(message.data))
-        elif message.topic == schemas.STUCK:
-            info.stuck.append(decode_stuck(message.data))
-        elif message.topic == schemas.SEGMENT and info.first_world is None:
-            info.first_world = decode_segment(message.data, info.head.puzzles, _NO_PICTURE).world
 
 
 def info_tables(source: Path) -> list[Table]:

@@ -112,16 +112,18 @@ def open_whole_chunks(path: Path) -> tuple[LogFile, Damage | None]:
         raise LogError(f"{path}: no such log; make one with `gym-open collect`")
     try:
         before = read_head(path)
-        parse_head(before)  # before all of a large file is read that is not ours
+        head, part = parse_head(before)  # a large file of another format is refused before all of it is read
         contents, damage = scan(path)
-        if damage is not None:
-            contents = _before_damage(path, contents, damage, before)
-        head, part = parse_head(contents)
-        if damage is None:
-            _check_channels(contents)
         following = contents.metadata.get(schemas.CONTINUES)
+        if damage is None:
+            _check_attachments(contents)
+            _check_channels(contents)
+        elif not contents.chunks or contents.chunks[-1].offset >= damage.offset:
+            following = None  # it stands after the damage
         if following not in (None, {"part": str(part + 1)}):
             raise ValueError(f"part {part} goes on in {following}, expected part {part + 1}")
+        if damage is not None:
+            contents = _before_damage(path, contents, damage, before)
     except Damage as damage:
         raise damaged(path, damage) from None
     except (ValueError, KeyError, GymOpenError) as error:
@@ -161,9 +163,7 @@ def _parse_head(contents: Contents) -> tuple[LogHead, int]:
     head = contents.metadata.get(schemas.HEAD, {})
     if head.get("format") != schemas.FORMAT:
         raise ValueError(f"expected the format {schemas.FORMAT!r}, got {head.get('format')!r}")
-    expected = {schemas.CONFIG, schemas.MODEL, schemas.POOL}
-    if set(contents.attachments) != expected:
-        raise ValueError(f"expected the attachments {sorted(expected)}, got {sorted(contents.attachments)}")
+    _check_attachments(contents)
     if (step_ns := _number(head, "step_ns")) != schemas.STEP_NS:
         raise ValueError(f"step_ns: expected {schemas.STEP_NS}, got {step_ns}")
     pool = msgspec.json.decode(contents.attachments[schemas.POOL], type=list[msgspec.Raw])
@@ -204,6 +204,13 @@ def _number(head: dict[str, str], name: str, *, least: int = 0) -> int:
     if not (least <= number < 2**31 and str(number) == text):
         raise ValueError(f"{name}: expected a whole number from {least} on, got {text!r}")
     return number
+
+
+def _check_attachments(contents: Contents) -> None:
+    """Raises ValueError if the file lacks an attachment or has another one."""
+    expected = {schemas.CONFIG, schemas.MODEL, schemas.POOL}
+    if set(contents.attachments) != expected:
+        raise ValueError(f"expected the attachments {sorted(expected)}, got {sorted(contents.attachments)}")
 
 
 def _check_channels(contents: Contents) -> None:

@@ -165,8 +165,18 @@ def open_log(source: Path | Sequence[Path]) -> Log:
     files = [open_file(path) for path in ([source] if alone else source)]
     if not alone:
         _check_parts(files)
+    return log_of(files)
+
+
+def log_of(files: Sequence[LogFile], damage: str | None = None) -> Log:
+    """Put together the log of checked files: see `Log`.
+
+    Raises:
+        LogError: if a switch or a stuck record cannot be decoded.
+        UnfinishedError: if the last switch is missing.
+    """
     try:
-        return Log(files)
+        return Log(files, damage)
     except (ValueError, GymOpenError) as error:
         raise error if isinstance(error, LogError) else foreign(files[0].path, error) from None
 
@@ -207,12 +217,9 @@ def open_whole_part(files: Sequence[Path]) -> Log:
         if len(files) > 1 and found[-1].goes_on:
             damage = f"{log_name(found[-1].head.stream, found[-1].part + 1)}, in which it goes on, is missing"
     try:
-        try:
-            return Log(found, damage)
-        except UnfinishedError:
-            return Log(found, UNFINISHED)
-    except (ValueError, GymOpenError) as error:
-        raise error if isinstance(error, LogError) else foreign(found[0].path, error) from None
+        return log_of(found, damage)
+    except UnfinishedError:
+        return log_of(found, UNFINISHED)
 
 
 def _check_parts(files: Sequence[LogFile]) -> None:

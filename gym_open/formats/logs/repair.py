@@ -11,15 +11,14 @@ import msgspec
 import numpy as np
 
 from gym_open import progress
-from gym_open.errors import GymOpenError
 from gym_open.formats.logs import schemas
 from gym_open.formats.logs.cdr import CdrReader
-from gym_open.formats.logs.container import Damage, Logged, first_number, read_head, scan, whole_chunks
-from gym_open.formats.logs.logfile import parse_head
+from gym_open.formats.logs.container import Damage, Logged, first_number, whole_chunks
+from gym_open.formats.logs.logfile import LogFile, open_whole_chunks
 from gym_open.formats.logs.messages import PIXELS, decode_switch
 from gym_open.formats.logs.parts import LogParts
-from gym_open.formats.logs.reader import UNFINISHED, open_log
-from gym_open.formats.logs.schemas import LogError, LogHead, SegmentStart, Switch, UnfinishedError, log_name
+from gym_open.formats.logs.reader import UNFINISHED, Log, log_of, open_log
+from gym_open.formats.logs.schemas import LogError, SegmentStart, Switch, UnfinishedError, log_name
 from gym_open.formats.logs.segments import decode_record, groups, is_complete
 
 _NO_LIMIT = sys.maxsize
@@ -58,8 +57,6 @@ class _Whole(msgspec.Struct):
     last_step: int | None = None
     end: Switch | None = None
     """The switch to add after them; None if play had ended, or goes on in a further part."""
-    goes_on: bool = False
-    """Whether the file says that the stream goes on in a further part."""
 
 
 def repair(path: Path) -> Repair:
@@ -74,25 +71,16 @@ def repair(path: Path) -> Repair:
             bytes are whole but what they say makes no log; or if the new file is there already.
     """
     target = _target(path)
-    if not path.is_file():
-        raise LogError(f"{path}: no such log file; give one file (.mcap)")
-    contents, found = scan(path)
-    found = found or _no_end(path)
+    file, found = open_whole_chunks(path)
+    found = found or _no_end(file)
     if found is None:
         return Repair(saved=None)
-    try:
-        head, part = parse_head(read_head(path))
-    except Damage as damage:
-        raise LogError(f"{path}: damaged at byte {damage.offset}: {damage.what}; nothing can be saved of it") from None
-    except (ValueError, KeyError, GymOpenError) as error:
-        raise LogError(f"{path}: not a log of this version, or its head is damaged: {error}") from None
     if target.exists():
         raise LogError(f"{target}: is there already and is not overwritten; move it away and run the command again")
-    goes_on = schemas.CONTINUES in contents.metadata and contents.chunks[-1].offset < found.offset
-    with progress.bar("repairing", 2 * sum(place.offset < found.offset for place in contents.chunks)) as bar:
+    with progress.bar("repairing", 2 * len(file.contents.chunks)) as bar:
         try:
-            whole = _whole(path, bar, head, goes_on=goes_on)
-            _write(path, target, whole, bar, head=head, part=part)
+            whole = _whole(file, bar)
+            _write(file, target, whole, bar)
         except ValueError as error:
             raise LogError(f"{path}: not written by `gym-open collect`: {error}; nothing can be saved") from None
     return Repair(
@@ -109,17 +97,17 @@ def _target(path: Path) -> Path:
     return path.with_name(f"{path.stem}-repaired.mcap")
 
 
-def _no_end(path: Path) -> Damage | None:
-    """Whether the last switch lacks in a file whose bytes are all right. Raises LogError if they make no log."""
+def _no_end(file: LogFile) -> Damage | None:
+    """Whether a file without damage lacks the last switch. Raises LogError if its messages make no log."""
     try:
-        _read(path)
+        _read(log_of([file]))
     except UnfinishedError:
-        return Damage(path.stat().st_size, UNFINISHED)
+        return Damage(file.path.stat().st_size, UNFINISHED)
     return None
 
 
-def _read(path: Path) -> None:
-    for _ in open_log(path).segments(_PIECE):
+def _read(log: Log) -> None:
+    for _ in log.segments(_PIECE):
         pass
 
 
@@ -143,14 +131,14 @@ def _complete(path: Path, bar: progress.Bar) -> Iterator[list[Logged]]:
         yield held
 
 
-def _whole(path: Path, bar: progress.Bar, head: LogHead, *, goes_on: bool) -> _Whole:
+def _whole(file: LogFile, bar: progress.Bar) -> _Whole:
     """Find the last record that can be saved. Raises LogError if there is no step before it."""
-    whole, switched, world, now = _Whole(goes_on=goes_on), 0, -1, 0
-    last = Switch(0, -1, -1, "start", [np.nan] * len(head.puzzles))
-    for group in _complete(path, bar):
+    whole, switched, world, now = _Whole(), 0, -1, 0
+    last = Switch(0, -1, -1, "start", [np.nan] * len(file.head.puzzles))
+    for group in _complete(file.path, bar):
         topic, _, data = group[0]
         if topic == schemas.SEGMENT:
-            start = decode_record(group, head.puzzles)
+            start = decode_record(group, file.head.puzzles)
             assert isinstance(start, SegmentStart)
             world, now = start.world, start.first_step + start.segment_step
         elif topic == schemas.STEP:
@@ -160,33 +148,36 @@ def _whole(path: Path, bar: progress.Bar, head: LogHead, *, goes_on: bool) -> _W
             last, switched, world = decode_switch(data), whole.groups, -1
         whole.groups += 1
     if not whole.steps:
-        raise LogError(f"{path}: no whole step in it before the damage; nothing can be saved")
-    if world >= 0 and not goes_on:
+        raise LogError(f"{file.path}: no whole step in it before the damage; nothing can be saved")
+    if file.goes_on:
+        return whole
+    if world >= 0:
         whole.end = Switch(now, world, -1, "cut", last.world_losses)
-    elif last.to_world >= 0 and not goes_on:  # the world that was entered has left no trace
+    elif last.to_world >= 0:  # the world that was entered has left no trace
         whole.groups, whole.end = switched, msgspec.structs.replace(last, to_world=-1, reason="cut")
     return whole
 
 
-def _write(path: Path, target: Path, whole: _Whole, bar: progress.Bar, *, head: LogHead, part: int) -> None:
+def _write(file: LogFile, target: Path, whole: _Whole, bar: progress.Bar) -> None:
+    path = file.path
     partial = target.with_name(f".{target.stem}.partial")
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir()
     try:
-        files = LogParts(partial, head, _NO_LIMIT, part=part, messages=first_number(path))
+        files = LogParts(partial, file.head, _NO_LIMIT, part=file.part, messages=first_number(path))
         try:
             for group in islice(_complete(path, bar), whole.groups):
                 for message in group:
                     files.put(message)
             if whole.end is not None:
                 files.add(whole.end)
-            files.finish(goes_on=whole.goes_on)
+            files.finish(goes_on=file.goes_on)
         except BaseException:
             files.abandon()
             raise
-        made = partial / log_name(head.stream, part)
+        made = partial / log_name(file.head.stream, file.part)
         try:
-            _read(made)
+            _read(open_log(made))
         except LogError as error:  # bytes that are all right, but make no log
             raise LogError(f"{str(error).replace(str(made), str(path))}; nothing can be saved") from None
         made.rename(target)

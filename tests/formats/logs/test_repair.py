@@ -209,10 +209,10 @@ def test_nothing_is_overwritten(whole: Path, tmp_path: Path) -> None:
 
 
 def test_what_is_no_log_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match="no such log file"):
+    with pytest.raises(LogError, match="no such log"):
         repair(tmp_path / "x.mcap")
     (tmp_path / "x.mcap").write_text("no log at all")
-    with pytest.raises(LogError, match="nothing can be saved of it"):
+    with pytest.raises(LogError, match=r"not an MCAP file.*; no step before it is whole"):
         repair(tmp_path / "x.mcap")
 
 
