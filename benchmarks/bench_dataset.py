@@ -31,9 +31,10 @@ from gym_open.datasets.config import ReleaseConfig
 from gym_open.datasets.verify import verify_release
 from gym_open.envs.constants import CONTROL_DT_S
 from gym_open.formats.logs.reader import open_logs
-from gym_open.formats.pictures import encode_pngs, workers
+from gym_open.formats.pngs import encode_pngs
 from gym_open.formats.releases import IMAGE, Release, open_release
 from gym_open.formats.windows import Pictures, Windows
+from gym_open.hardware import usable_cores
 
 ROUNDS, STEPS, LENGTH, BATCH, BATCHES = 3, 20_000, 4, 64, 60
 SOURCE = Path(__file__).parents[1] / "collect/random.toml"
@@ -61,7 +62,7 @@ def build(log: Path, release: Path) -> Rates:
     reading = rate(STEPS, read)
     frames = sum(map(len, pieces))
     spans = [piece[i : i + 128] for piece in pieces for i in range(0, len(piece), 128)]
-    with ThreadPoolExecutor(workers()) as pool:
+    with ThreadPoolExecutor(usable_cores()) as pool:
         encoding = rate(frames, lambda: list(pool.map(encode_pngs, spans)))
     building = rate(frames, lambda: build_release(ReleaseConfig(), [log], release))
     return {"log reading alone": reading, "PNG encoding alone": encoding, "build": building}

@@ -9,8 +9,7 @@ from gym_open.datasets.writing.sources import Episode
 from gym_open.datasets.writing.statistics import Stats, feature_stats, picture_stats
 from gym_open.datasets.writing.video import decode_clip, encode_clip, pixel_error
 from gym_open.errors import ArtefactError
-from gym_open.formats.pictures import encode_pngs
-from gym_open.formats.releases import pngs as taken_over
+from gym_open.formats.pngs import decode_untrusted, encode_pngs
 from gym_open.formats.releases.content import feature_digest
 from gym_open.formats.releases.layout import IMAGE
 from gym_open.formats.releases.schemas import PIXEL_ERROR
@@ -59,6 +58,6 @@ def prepare(episode: Episode, *, video: bool = False) -> Prepared:
 
 def _decoded(png: bytes) -> np.ndarray:
     try:
-        return taken_over.decode(png)
+        return decode_untrusted(png)
     except ValueError as error:
         raise ArtefactError(f"a picture of a release: {error}; see which with `gym-open dataset verify`") from None

@@ -29,7 +29,6 @@ from gym_open.datasets.writing.sources import Episode, Share
 from gym_open.datasets.writing.tables import segments_of_episodes
 from gym_open.datasets.writing.tracks import CONTENT, Place, Track
 from gym_open.errors import ArtefactError, UsageError
-from gym_open.formats.pictures import workers as processors
 from gym_open.formats.releases import Release
 from gym_open.formats.releases.features import Features
 from gym_open.formats.releases.info import read_info
@@ -46,6 +45,7 @@ from gym_open.formats.releases.layout import (
     table_path,
 )
 from gym_open.formats.releases.schemas import EPISODE_ROW, episodes_schema, table_schema
+from gym_open.hardware import usable_cores
 
 
 class ReleaseWriter:
@@ -87,7 +87,7 @@ class ReleaseWriter:
                 first, chunk = first.plus(*share), chunk + 1
         self._video = described[IMAGE]["dtype"] == "video"
         self._tidy()
-        threads = workers or processors()
+        threads = workers or usable_cores()
         self._pool = ThreadPoolExecutor(threads)
         self._ahead = threads + 1
         self._waiting: deque[Future[Prepared]] = deque()

@@ -20,8 +20,8 @@ import numpy as np
 
 from gym_open import artefacts, extras
 from gym_open.errors import ArtefactError
-from gym_open.formats.pictures import workers
-from gym_open.formats.releases import parquet, pngs, videos
+from gym_open.formats.pngs import decode_untrusted
+from gym_open.formats.releases import parquet, videos
 from gym_open.formats.releases.info import read_info
 from gym_open.formats.releases.layout import (
     DATA_PATHS,
@@ -34,6 +34,7 @@ from gym_open.formats.releases.layout import (
     belongs,
 )
 from gym_open.formats.releases.schemas import NULLABLE, STATS, episodes_schema, table_schema
+from gym_open.hardware import usable_cores
 
 if TYPE_CHECKING:  # heavy, and needed only when something is read
     import pandas as pd
@@ -187,14 +188,14 @@ class Release:
         def fill(span: range) -> None:
             for i in span:
                 try:
-                    out[i] = pngs.decode(files[i])
+                    out[i] = decode_untrusted(files[i])
                 except ValueError as error:
                     raise ArtefactError(
                         f"{self.root}: picture of frame {wanted[i]}: {error}; get the release anew"
                     ) from None
 
         step = 64
-        with ThreadPoolExecutor(workers()) as pool:
+        with ThreadPoolExecutor(usable_cores()) as pool:
             list(pool.map(fill, [range(i, min(i + step, len(files))) for i in range(0, len(files), step)]))
         return out
 

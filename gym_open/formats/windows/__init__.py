@@ -10,7 +10,7 @@ for batch in windows.batches(np.random.default_rng(0), batch_size=64, workers=2)
 from gym_open.extras import Named
 
 with Named():
-    from gym_open.formats.windows.pictures import LIMIT_BYTES, Pictures
+    from gym_open.formats.windows.cache import LIMIT_BYTES, Pictures
     from gym_open.formats.windows.sampling import Batch, Windows
 
 __all__ = ["LIMIT_BYTES", "Batch", "Pictures", "Windows"]

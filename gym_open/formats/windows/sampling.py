@@ -10,7 +10,7 @@ import numpy as np
 
 from gym_open.errors import ArtefactError, UsageError
 from gym_open.formats.releases import IMAGE
-from gym_open.formats.windows.pictures import Pictures
+from gym_open.formats.windows.cache import Pictures
 
 ACTION = "action.index"
 Batch = dict[str, np.ndarray]

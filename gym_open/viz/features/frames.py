@@ -5,7 +5,7 @@ import numpy as np
 
 from gym_open import progress, seeding
 from gym_open.envs import constants as c
-from gym_open.formats.pictures import encode_pngs
+from gym_open.formats.pngs import encode_pngs
 from gym_open.formats.releases import Release
 
 COUNT = 1_000

@@ -8,7 +8,7 @@ import numpy as np
 
 from gym_open import progress
 from gym_open.envs.puzzles import Puzzle
-from gym_open.formats.pictures import decode_png
+from gym_open.formats.pngs import decode_png
 from gym_open.plots import BLUE, GREY, ORANGE
 from gym_open.viz.play.images import Coverage
 from gym_open.viz.play.streams import ACTION, ENTROPY, LOSS, REWARD, VALUE, Span, Stream

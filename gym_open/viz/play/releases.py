@@ -13,7 +13,7 @@ from gym_open.envs.stuck import Watch, position
 from gym_open.errors import ArtefactError, UsageError
 from gym_open.formats.logs import Stuck, Switch
 from gym_open.formats.logs.logfile import check_nesting
-from gym_open.formats.pictures import encode_pngs
+from gym_open.formats.pngs import encode_pngs
 from gym_open.formats.releases import IMAGE, Release
 from gym_open.formats.releases.layout import PART as PART_COLUMN
 from gym_open.viz.config import Choice

@@ -13,7 +13,7 @@ import pytest
 
 from gym_open.datasets.verify import Report, run, verify_release
 from gym_open.files import sha256_file
-from gym_open.formats.pictures import encode_pngs
+from gym_open.formats.pngs import encode_pngs
 from gym_open.formats.releases import IMAGE, open_release
 
 Reseal = Callable[[Path], None]

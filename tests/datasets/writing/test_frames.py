@@ -10,7 +10,7 @@ from gym_open.datasets.writing.frames import numbers
 from gym_open.datasets.writing.statistics import Merger, Stats, feature_stats, picture_stats
 from gym_open.envs.puzzles.generators import sample_puzzle
 from gym_open.formats.logs.schemas import Segment
-from gym_open.formats.pictures import decode_png, encode_pngs
+from gym_open.formats.pngs import decode_png, encode_pngs
 from gym_open.formats.releases.features import features
 
 NAMES = ("agent", "yellow_0")

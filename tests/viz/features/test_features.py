@@ -19,7 +19,7 @@ from gym_open.datasets.config import ReleaseConfig
 from gym_open.envs.physics.model import INVENTORY
 from gym_open.errors import ArtefactError, UsageError
 from gym_open.formats.models import save_encoder, save_policy
-from gym_open.formats.pictures import decode_png
+from gym_open.formats.pngs import decode_png
 from gym_open.formats.releases import Release, open_release
 from gym_open.viz import features
 from gym_open.viz.config import Choice, VizConfig

@@ -12,7 +12,7 @@ from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.envs.constants import CELL_0, PITCH
 from gym_open.formats.logs import Segment, log_files, open_logs
-from gym_open.formats.pictures import decode_png
+from gym_open.formats.pngs import decode_png
 from gym_open.viz import play, viewers
 from gym_open.viz.config import Choice, VizConfig
 

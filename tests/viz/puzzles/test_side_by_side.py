@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gym_open.envs import constants as c
-from gym_open.formats.pictures import decode_png
+from gym_open.formats.pngs import decode_png
 from gym_open.viz import viewers
 from gym_open.viz.config import Choice, VizConfig
 from gym_open.viz.puzzles import view
