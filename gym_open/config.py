@@ -7,6 +7,7 @@ import difflib
 import re
 import sys
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
@@ -81,6 +82,19 @@ def check(config: C, *, source: str) -> C:
 def to_dict(config: Config) -> dict[str, Any]:
     """The whole configuration, with its defaults, as plain data that JSON can hold."""
     return msgspec.to_builtins(config)
+
+
+def to_toml(config: Mapping[str, Any]) -> str:
+    """Plain data as TOML. TOML has no null, so a key whose value is None is left out, which means its default."""
+    import tomli_w  # comes with the extra `releases`
+
+    return tomli_w.dumps(_without_none(config))
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _without_none(item) for key, item in value.items() if item is not None}
+    return [_without_none(item) for item in value if item is not None] if isinstance(value, list) else value
 
 
 def _explain(message: str, raw: dict[str, Any], kind: type[Config]) -> str:

@@ -10,8 +10,8 @@ from types import TracebackType
 from gym_open.errors import MissingExtraError
 
 MODULES = {
-    "releases": ("PIL", "huggingface_hub", "mcap", "pandas", "pyarrow", "tomli_w", "zstandard"),
-    "build": ("av", "jinja2", "matplotlib", "scipy"),
+    "releases": ("PIL", "huggingface_hub", "jinja2", "mcap", "pandas", "pyarrow", "tomli_w", "zstandard"),
+    "build": ("av", "matplotlib", "scipy"),
     "train": ("safetensors", "tensorboard", "torch"),
     "viz": ("rerun", "rerun_cli"),
     "play": ("pygame",),

@@ -131,5 +131,5 @@ def make_log(tmp_path_factory: pytest.TempPathFactory) -> MakeLog:
 def no_figures() -> Iterator[None]:
     """Releases are built without the figures of their cards, which take most of the time of a small one."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gym_open.datasets.papers.draw", lambda _: {})
+        patch.setattr("gym_open.datasets.documents.draw", lambda _: {})
         yield

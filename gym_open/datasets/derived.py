@@ -15,8 +15,8 @@ import pyarrow as pa
 from gym_open import artefacts, progress
 from gym_open.datasets.compare.versions import latest_below
 from gym_open.datasets.config import FilterConfig, MergeConfig
-from gym_open.datasets.writing.sources import HELD, Episode, Share, episodes_of_release, held_logs
-from gym_open.datasets.writing.splits import unit_of
+from gym_open.datasets.writing.sources import HELD, Episode, episodes_of_release, held_logs
+from gym_open.datasets.writing.splits import Share, unit_of
 from gym_open.datasets.writing.writer import ReleaseWriter, check_workers, complete
 from gym_open.formats.releases import Release, open_release
 from gym_open.formats.releases.layout import PART, SPLITS, Split, Table

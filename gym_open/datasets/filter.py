@@ -8,7 +8,7 @@ import numpy as np
 from gym_open import artefacts
 from gym_open.datasets.config import FilterConfig
 from gym_open.datasets.derived import derive
-from gym_open.datasets.papers.facts import X_EDGES, Y_EDGES
+from gym_open.datasets.documents.facts import X_EDGES, Y_EDGES
 from gym_open.errors import UsageError
 from gym_open.formats.releases import Release, open_release
 

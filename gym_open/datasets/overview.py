@@ -9,7 +9,7 @@ from rich.table import Table
 
 from gym_open import artefacts
 from gym_open.datasets.compare import payload
-from gym_open.datasets.compare.semver import parse
+from gym_open.datasets.compare.versions import parse
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases import Release
 from gym_open.formats.releases.content import payload_digest

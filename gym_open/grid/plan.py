@@ -14,7 +14,7 @@ import msgspec
 
 from gym_open import artefacts
 from gym_open.collect.config import CollectConfig
-from gym_open.config import Config, check, load, to_dict
+from gym_open.config import Config, check, load, to_dict, to_toml
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.envs.puzzles.sets import published_digests
 from gym_open.envs.puzzles.witnesses import witness_name
@@ -76,15 +76,7 @@ class GridJob:
 
     def toml(self) -> str:
         """The configuration as TOML, which has no word for nothing: what is None is left out, as its default is."""
-        import tomli_w
-
-        return tomli_w.dumps(_without_none(to_dict(self.config)))
-
-
-def _without_none(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_none(inner) for key, inner in value.items() if inner is not None}
-    return value
+        return to_toml(to_dict(self.config))
 
 
 def make_plan(config: GridConfig, out: Path, *, root: Path) -> list[GridJob]:

@@ -30,8 +30,7 @@ from gym_open.formats.windows import Batch, Pictures, Windows
 from gym_open.hardware import check_device, hardware
 from gym_open.precision import settle
 from gym_open.train.config import EncoderTrainConfig
-from gym_open.train.curve import Row, clean, save_curve
-from gym_open.train.tensorboard import Board
+from gym_open.train.curve import Board, Row, clean, save_curve
 
 HELD_OUT_BATCHES = 4
 FIRST_IMAGES = 10_000

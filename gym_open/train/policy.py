@@ -38,9 +38,8 @@ from gym_open.formats.models import (
 from gym_open.hardware import check_device, hardware
 from gym_open.precision import settle
 from gym_open.train.config import PolicyTrainConfig
-from gym_open.train.curve import Row, clean, save_curve
+from gym_open.train.curve import Board, Row, clean, save_curve
 from gym_open.train.tables import Episode, Tables
-from gym_open.train.tensorboard import Board
 from gym_open.train.transfer import take_over
 
 COLUMNS = (

@@ -21,8 +21,8 @@ from gym_open.formats.models import load_encoder
 from gym_open.formats.releases import open_release
 from gym_open.formats.windows import Pictures
 from gym_open.train.config import EncoderTrainConfig
+from gym_open.train.curve import Board
 from gym_open.train.encoder import _Trainer, train_encoder
-from gym_open.train.tensorboard import Board
 from tests.children import killed_at
 
 pytestmark = pytest.mark.learning

@@ -12,9 +12,10 @@ from rich.table import Table as Shown
 
 from gym_open import artefacts
 from gym_open.datasets.compare import payload
+from gym_open.datasets.compare.document_diff import same_but_for_version
 from gym_open.datasets.compare.episode_diff import episode_meanings
-from gym_open.datasets.compare.paper_diff import same_but_for_version
-from gym_open.datasets.compare.semver import RANK, Bump, Meaning, implied
+from gym_open.datasets.compare.versions import RANK, Bump, Meaning, implied
+from gym_open.errors import RefusedError
 from gym_open.formats.releases import Release
 from gym_open.formats.releases.content import table_digest
 from gym_open.formats.releases.layout import BOOKKEEPING, CHANGELOG, STATS_PATH, TABLES, TASKS_PATH
@@ -66,6 +67,35 @@ def diff_releases(a: Release, b: Release) -> Diff:
     if a.name != b.name:
         meanings.append(Meaning("none", f"name: {a.name} → {b.name}"))
     return Diff(f"{a.name} {a.version}", f"{b.name} {b.version}", bump, implied(a.version, bump), files, meanings)
+
+
+def check_version(previous: Release, new: Release) -> Diff:
+    """Hold the version of `new` against what changed since `previous`, and return what that is.
+
+    `new` may still be without its manifest, as it is just before it is sealed.
+
+    Raises:
+        RefusedError: if nothing changed, or another version is the honest one (which is named), or the two are not of
+            one name.
+    """
+    if previous.name != new.name:
+        raise RefusedError(
+            f"{previous.root}: holds {previous.name!r} and not {new.name!r}, so it is no earlier version of it; give "
+            "another --out, or the right --previous"
+        )
+    diff = diff_releases(previous, new)
+    if diff.bump == "none":
+        raise RefusedError(
+            f"{new.name} {new.version}: nothing but version and date differs from {previous.version} "
+            f"({previous.root}); a version that brings nothing is refused: keep {previous.version}"
+        )
+    honest = implied(previous.version, diff.bump)
+    if new.version != honest:
+        raise RefusedError(
+            f"{new.name}: version {new.version} does not say what changed since {previous.version} ({previous.root}); "
+            f"a {diff.bump} change ({diff.meanings[0].text}) makes it {honest}: give --version {honest}"
+        )
+    return diff
 
 
 def _file_changes(a: Release, b: Release) -> Iterator[FileChange]:

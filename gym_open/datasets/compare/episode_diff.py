@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from gym_open.datasets.compare.semver import Meaning
+from gym_open.datasets.compare.versions import Meaning
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases import Release
 from gym_open.formats.releases.content import EPISODE_FACTS, EPISODE_PLACES

@@ -1,42 +1,55 @@
-"""Versions that do not lie: the number of a release follows from what changed since the one before it."""
+"""Version numbers: MAJOR.MINOR.PATCH, with the meaning that TensorFlow Datasets gives them.
 
+MAJOR: existing data changed. MINOR: data were added. PATCH: the same data in other files or with other documents.
+"""
+
+import re
 from pathlib import Path
+from typing import Literal
 
-from gym_open.datasets.compare.diff import Diff, diff_releases
-from gym_open.datasets.compare.semver import implied, parse
-from gym_open.errors import RefusedError
-from gym_open.formats.releases import Release
+import msgspec
 
-__all__ = ["check", "implied", "latest_below"]
+from gym_open.errors import ArtefactError
+
+Bump = Literal["none", "patch", "minor", "major"]
+RANK: dict[Bump, int] = {"none": 0, "patch": 1, "minor": 2, "major": 3}
 
 
-def check(previous: Release, new: Release) -> Diff:
-    """Hold the version of `new` against what changed since `previous`, and return what that is.
+class Meaning(msgspec.Struct, frozen=True):
+    """One thing that changed, and the bump that it asks for."""
 
-    `new` may still be without its manifest, as it is just before it is sealed.
+    bump: Bump
+    text: str
+
+
+_VERSION = re.compile(r"(0|[1-9][0-9]{0,8})\.(0|[1-9][0-9]{0,8})\.(0|[1-9][0-9]{0,8})")
+
+
+def parse(version: str) -> tuple[int, int, int] | None:
+    """The three numbers of a version; None if it is none."""
+    match = _VERSION.fullmatch(version)
+    return (int(match[1]), int(match[2]), int(match[3])) if match else None
+
+
+def implied(previous: str, bump: Bump) -> str:
+    """The version that follows `previous` after a change of this kind; `previous` itself if nothing changed.
 
     Raises:
-        RefusedError: if nothing changed, or another version is the honest one (which is named), or the two are not of
-            one name.
+        ArtefactError: if `previous` is not a version.
     """
-    if previous.name != new.name:
-        raise RefusedError(
-            f"{previous.root}: holds {previous.name!r} and not {new.name!r}, so it is no earlier version of it; give "
-            "another --out, or the right --previous"
-        )
-    diff = diff_releases(previous, new)
-    if diff.bump == "none":
-        raise RefusedError(
-            f"{new.name} {new.version}: nothing but version and date differs from {previous.version} "
-            f"({previous.root}); a version that brings nothing is refused: keep {previous.version}"
-        )
-    honest = implied(previous.version, diff.bump)
-    if new.version != honest:
-        raise RefusedError(
-            f"{new.name}: version {new.version} does not say what changed since {previous.version} ({previous.root}); "
-            f"a {diff.bump} change ({diff.meanings[0].text}) makes it {honest}: give --version {honest}"
-        )
-    return diff
+    numbers = parse(previous)
+    if numbers is None:
+        raise ArtefactError(f"version must be three numbers, as 1.0.0, got {previous!r}; build that release again")
+    major, minor, patch = numbers
+    match bump:
+        case "major":
+            return f"{major + 1}.0.0"
+        case "minor":
+            return f"{major}.{minor + 1}.0"
+        case "patch":
+            return f"{major}.{minor}.{patch + 1}"
+        case "none":
+            return previous
 
 
 def latest_below(out: Path, version: str) -> Path | None:

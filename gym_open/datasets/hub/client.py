@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from gym_open.datasets.compare.semver import parse
+from gym_open.datasets.compare.versions import parse
 from gym_open.errors import ArtefactError, GymOpenError, UsageError
 from gym_open.formats.releases.layout import INFO_PATH
 

@@ -11,7 +11,7 @@ import msgspec
 
 from gym_open import artefacts, progress
 from gym_open.artefacts import MANIFEST, SIGNATURE, Entry
-from gym_open.datasets.compare.semver import parse
+from gym_open.datasets.compare.versions import parse
 from gym_open.datasets.hub.client import check_repo, tags, talking, told, tree, verified, versions
 from gym_open.errors import ArtefactError, GymOpenError, UsageError
 from gym_open.files import lock, sha256_file

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from gym_open.artefacts import MANIFEST, SIGNATURE, Entry
-from gym_open.datasets.compare.semver import parse
+from gym_open.datasets.compare.versions import parse
 from gym_open.datasets.hub.client import check_repo, tags, talking, tree, verified, versions
 from gym_open.errors import ArtefactError, GymOpenError, UsageError
 from gym_open.files import sha256_file

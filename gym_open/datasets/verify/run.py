@@ -7,12 +7,11 @@ from pathlib import Path
 from gym_open import artefacts, extras
 from gym_open.datasets.verify.apart import replay_apart
 from gym_open.datasets.verify.contents import check_contents
-from gym_open.datasets.verify.papers import check_papers
+from gym_open.datasets.verify.documents import check_documents, check_texts
 from gym_open.datasets.verify.readers import check_lerobot, check_pandas
 from gym_open.datasets.verify.report import NOT_CHECKED, Check, Findings, Report, verdict_of
 from gym_open.datasets.verify.structure import check_episodes, check_files, check_info
 from gym_open.datasets.verify.tables import check_tables
-from gym_open.datasets.verify.texts import check_texts
 from gym_open.errors import GymOpenError, UsageError
 from gym_open.formats.releases.info import read_info
 from gym_open.formats.releases.layout import SIGNATURE, belongs
@@ -56,11 +55,11 @@ class _Verification:
         """Do all checks."""
         report = Report("", [], "", "", self._checks)
         sound = self._check("bytes", self._bytes)
-        self._check("signature", self._signature, needs=sound)  # nothing rests on it, nor on the papers
+        self._check("signature", self._signature, needs=sound)  # nothing rests on it, nor on the documents
         sound = self._check("structure", self._structure, needs=sound)
-        papers = self._check("papers", self._papers, needs=sound)
+        documents = self._check("documents", self._documents, needs=sound)
         sound = self._check("frames", self._frames, needs=sound)
-        self._check("texts", self._texts, needs=sound and papers)
+        self._check("texts", self._texts, needs=sound and documents)
         self._check("readers", self._readers, needs=sound)
 
         def play() -> str:
@@ -133,9 +132,9 @@ class _Verification:
             check_tables(release, self._findings)
         return f"{len(release.episodes):,} episodes, {len(release):,} frames"
 
-    def _papers(self) -> str:
+    def _documents(self) -> str:
         assert self._release is not None
-        return check_papers(self._release, self._findings)
+        return check_documents(self._release, self._findings)
 
     def _frames(self) -> str:
         assert self._release is not None

@@ -15,7 +15,7 @@ from gym_open.datasets.writing.splits import Unit, unit_of
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases import Release, parquet
 from gym_open.formats.releases.features import Features, objects, schema
-from gym_open.formats.releases.layout import IMAGE, PART, SPLITS, Split, data_path
+from gym_open.formats.releases.layout import IMAGE, PART, Split, data_path
 from gym_open.formats.releases.schemas import EPISODE_ROW, content_features
 
 if TYPE_CHECKING:
@@ -50,17 +50,6 @@ class Episode(msgspec.Struct, frozen=True, eq=False):
     """(T + 1, 84, 84, 3) uint8 RGB; need not be there if `pngs` is."""
     pngs: list[bytes] | None = None
     """PNG files that are taken over as they are."""
-
-
-class Share(NamedTuple):
-    """How much of something there is in a split."""
-
-    episodes: int = 0
-    frames: int = 0
-
-    def plus(self, episodes: int, frames: int) -> "Share":
-        """With so much more."""
-        return Share(self.episodes + episodes, self.frames + frames)
 
 
 class Play(NamedTuple):
@@ -119,29 +108,6 @@ def explorer_of(config: Mapping[str, Any]) -> str:
         return msgspec.convert(config["explorer"], ExplorerConfig).name
     except (KeyError, msgspec.ValidationError):
         return "unknown"
-
-
-def units_of(config: ReleaseConfig, plays: Iterable[Play]) -> set[Unit]:
-    """All worlds that were visited, or all streams, as `config.split_by` says."""
-    return {
-        unit_of(config.split_by, play.stream, play.log.puzzles[switch.to_world].digest)
-        for play in plays
-        for switch in play.log.switches
-        if switch.to_world >= 0
-    }
-
-
-def shares_of(config: ReleaseConfig, plays: Iterable[Play], splits: Mapping[Unit, Split]) -> dict[Split, Share]:
-    """How many episodes and frames the plays make, told from their switches before anything else is read."""
-    shares: dict[Split, Share] = {split: Share() for split in SPLITS}
-    for play in plays:
-        for entered, left in zip(play.log.switches, play.log.switches[1:], strict=False):
-            steps = left.step - entered.step
-            pieces = max(1, -(-steps // config.max_episode_steps))
-            puzzle = play.log.puzzles[entered.to_world].digest
-            split = splits[unit_of(config.split_by, play.stream, puzzle)]
-            shares[split] = shares[split].plus(pieces, steps + pieces)
-    return shares
 
 
 def episodes_of_logs(

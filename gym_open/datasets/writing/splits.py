@@ -1,13 +1,28 @@
 """Train and val share no world (or no stream): never split by step, since neighbouring frames are near copies."""
 
 from collections.abc import Iterable, Mapping
-from typing import Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from gym_open import seeding
-from gym_open.formats.releases.layout import Split
+from gym_open.datasets.config import ReleaseConfig
+from gym_open.formats.releases.layout import SPLITS, Split
+
+if TYPE_CHECKING:
+    from gym_open.datasets.writing.sources import Play
 
 Unit = str
 """What is never in two splits: the digest of a layout, or the number of a stream."""
+
+
+class Share(NamedTuple):
+    """How much of something there is in a split."""
+
+    episodes: int = 0
+    frames: int = 0
+
+    def plus(self, episodes: int, frames: int) -> "Share":
+        """With so much more."""
+        return Share(self.episodes + episodes, self.frames + frames)
 
 
 def unit_of(split_by: Literal["stream", "world"], stream: int, puzzle: str) -> Unit:
@@ -31,3 +46,26 @@ def assign(
     order = seeding.generator(seed, "release", "val").permutation(len(new))
     held = {new[i] for i in order[:count]}
     return {**known, **{unit: "val" if unit in held else "train" for unit in new}}
+
+
+def units_of(config: ReleaseConfig, plays: "Iterable[Play]") -> set[Unit]:
+    """All worlds that were visited, or all streams, as `config.split_by` says."""
+    return {
+        unit_of(config.split_by, play.stream, play.log.puzzles[switch.to_world].digest)
+        for play in plays
+        for switch in play.log.switches
+        if switch.to_world >= 0
+    }
+
+
+def shares_of(config: ReleaseConfig, plays: "Iterable[Play]", splits: Mapping[Unit, Split]) -> dict[Split, Share]:
+    """How many episodes and frames the plays make, told from their switches before anything else is read."""
+    shares: dict[Split, Share] = {split: Share() for split in SPLITS}
+    for play in plays:
+        for entered, left in zip(play.log.switches, play.log.switches[1:], strict=False):
+            steps = left.step - entered.step
+            pieces = max(1, -(-steps // config.max_episode_steps))
+            puzzle = play.log.puzzles[entered.to_world].digest
+            split = splits[unit_of(config.split_by, play.stream, puzzle)]
+            shares[split] = shares[split].plus(pieces, steps + pieces)
+    return shares

@@ -10,7 +10,8 @@ import pyarrow as pa
 from gym_open.datasets.writing.lerobot_files import TASK, DataFile, frames_batch
 from gym_open.datasets.writing.parts import Part
 from gym_open.datasets.writing.prepare import Prepared
-from gym_open.datasets.writing.sources import Episode, KeyframeAt, Share
+from gym_open.datasets.writing.sources import Episode, KeyframeAt
+from gym_open.datasets.writing.splits import Share
 from gym_open.datasets.writing.statistics import Stats, feature_stats
 from gym_open.datasets.writing.video import MAX_FRAMES, VideoFile
 from gym_open.errors import ArtefactError

@@ -18,14 +18,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from gym_open.artefacts import SCRATCH
-from gym_open.datasets.compare.versions import check
+from gym_open.datasets.compare.diff import check_version
 from gym_open.datasets.config import Header
-from gym_open.datasets.papers import Command, write_papers, write_provenance
+from gym_open.datasets.documents import Command, write_changelog, write_documents, write_provenance
 from gym_open.datasets.writing.lerobot_files import write_table
 from gym_open.datasets.writing.meta import write_meta
 from gym_open.datasets.writing.parts import join
 from gym_open.datasets.writing.prepare import Prepared, prepare
-from gym_open.datasets.writing.sources import Episode, Share
+from gym_open.datasets.writing.sources import Episode
+from gym_open.datasets.writing.splits import Share
 from gym_open.datasets.writing.tables import segments_of_episodes
 from gym_open.datasets.writing.tracks import CONTENT, Place, Track
 from gym_open.errors import ArtefactError, UsageError
@@ -188,7 +189,7 @@ def check_workers(workers: int | None) -> None:
 
 
 def complete(folder: Path, config: Header, command: Command, previous: Release | None, parents: Sequence[Path]) -> None:
-    """Add to the data and tables in `folder` the papers of a release, after holding its version against `previous`.
+    """Write the documents of a release next to the data and tables in `folder`, and check its version.
 
     Args:
         folder: of the unfinished artefact, after `ReleaseWriter.close`.
@@ -198,10 +199,9 @@ def complete(folder: Path, config: Header, command: Command, previous: Release |
         parents: artefacts that it is made of, `previous` last.
 
     Raises:
-        ArtefactError: if the version says other than what was changed.
+        ArtefactError: if the version does not follow from what changed since `previous`.
     """
     release = Release(folder, "", read_info(folder))
-    write_papers(release, config, command=command, previous=previous, parents=parents)
-    if previous:
-        check(previous, release)
+    write_documents(release, config, command=command, previous=previous, parents=parents)
+    write_changelog(release, config, previous, check_version(previous, release) if previous else None)
     write_provenance(folder, config, parents, command)

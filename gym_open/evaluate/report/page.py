@@ -15,6 +15,7 @@ from gym_open.evaluate.report.gather import standing
 from gym_open.evaluate.report.probes import Probed
 from gym_open.evaluate.report.provenance import Proven, Recipe, Setting
 from gym_open.evaluate.report.results import Cell, Results
+from gym_open.markdown import escaped
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -59,7 +60,7 @@ def _environment() -> "Environment":
         undefined=jinja2.StrictUndefined,
     )
     environment.filters |= {name: getattr(words, name) for name in ("number", "interval", "signed", "steps")}
-    environment.filters |= {"data": _data, "cell": _table_cell, "breakable": _breakable}
+    environment.filters |= {"data": _data, "cell": escaped, "breakable": _breakable}
     return environment
 
 
@@ -123,10 +124,3 @@ def _breakable(name: str) -> "Markup":
 def _data(svg: bytes) -> str:
     """An address that holds the picture itself: nothing in it can run, or clash with the page."""
     return f"data:image/svg+xml;base64,{base64.b64encode(svg).decode()}"
-
-
-def _table_cell(text: str) -> str:
-    r"""Text within a Markdown table: its own marks of Markdown and HTML are shown."""
-    for mark in r"\`*_[]<>|#~$":
-        text = text.replace(mark, f"\\{mark}")
-    return text

@@ -5,9 +5,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import msgspec
-import tomli_w
 
 from gym_open.artefacts import CONFIG, Lineage, Parent, canonical_json
+from gym_open.config import to_toml
 from gym_open.evaluate.proof import task_free_proof
 from gym_open.evaluate.report.gather import UNTRAINED, Run, one_line
 from gym_open.formats.scores import Proof
@@ -250,10 +250,4 @@ def _command(link: _Link, file: str, names: Mapping[str, str], *, follows: bool)
 def _toml(config: Mapping[str, Any]) -> str:
     """What can be given with `--config`; TOML has no null, and a key left out is its default."""
     kept = {key: value for key, value in config.items() if key not in _VARIES}
-    return printable(tomli_w.dumps(_without_null(kept)).strip())
-
-
-def _without_null(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_null(one) for key, one in value.items() if one is not None}
-    return [_without_null(one) for one in value if one is not None] if isinstance(value, list) else value
+    return printable(to_toml(kept).strip())

@@ -19,10 +19,16 @@ from rich.console import Console
 from gym_open import artefacts
 from gym_open.datasets import Release, open_release
 from gym_open.datasets.build import build_release
-from gym_open.datasets.compare.diff import Diff, FileChange, _feature_meanings, diff_releases, diff_tables
+from gym_open.datasets.compare.diff import (
+    Diff,
+    FileChange,
+    _feature_meanings,
+    check_version,
+    diff_releases,
+    diff_tables,
+)
 from gym_open.datasets.compare.episode_diff import episode_meanings
-from gym_open.datasets.compare.semver import Meaning
-from gym_open.datasets.compare.versions import check
+from gym_open.datasets.compare.versions import Meaning
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.errors import ArtefactError, UsageError
 from gym_open.formats.releases.info import read_info
@@ -84,7 +90,7 @@ def test_an_append_is_minor(first: Release, logs: list[Path]) -> None:
     made = open_release(
         build_release(config(version="1.1.0"), logs[1:], first.root.with_name("1.1.0"), append=True).path
     )
-    diff = check(first, made)
+    diff = check_version(first, made)
     count = len(made.episodes) - len(first.episodes)
     assert (diff.bump, diff.next_version) == ("minor", "1.1.0")
     assert f"{count} episodes appended ({len(first.episodes)}–{len(made.episodes) - 1})" in shown(diff)
@@ -107,7 +113,7 @@ def test_other_episodes_are_major(first: Release, logs: list[Path], tmp_path: Pa
 def test_another_licence_is_a_patch(first: Release, logs: list[Path]) -> None:
     out = first.root.with_name("1.0.1")
     made = open_release(build_release(config(version="1.0.1", license="cc0-1.0"), logs[:1], out).path)
-    diff = check(first, made)
+    diff = check_version(first, made)
     assert diff.meanings[0].text == "licence: mit → cc0-1.0"
     assert "LICENSE" in next(item.text for item in diff.meanings if item.text.startswith("card"))
     shutil.rmtree(out)
@@ -118,7 +124,7 @@ def test_other_bytes_of_the_same_content_are_a_patch(first: Release, tmp_path: P
     path = folder / "data/chunk-000/file-000.parquet"
     pq.write_table(pq.read_table(path), path, compression="none", use_dictionary=False)
     set_info(folder, version="1.0.1")
-    diff = check(first, unsealed(folder))
+    diff = check_version(first, unsealed(folder))
     assert diff.bump == "patch"
     assert [(item.path, item.how) for item in diff.files if item.how == "serialisation"] == [
         ("data/chunk-000/file-000.parquet", "serialisation")
@@ -187,7 +193,7 @@ def test_another_name_follows_nothing(first: Release, tmp_path: Path) -> None:
     folder = edited(first, tmp_path / "1.0.1")
     set_info(folder, name="open/other", version="1.0.1")
     with pytest.raises(ArtefactError, match="open/explore"):
-        check(first, unsealed(folder))
+        check_version(first, unsealed(folder))
 
 
 # Tables of episodes made by hand: a row is (identity, split), its place follows from the identity.

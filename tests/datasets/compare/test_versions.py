@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gym_open.datasets.compare.semver import RANK, parse
-from gym_open.datasets.compare.versions import implied, latest_below
+from gym_open.datasets.compare.versions import RANK, implied, latest_below, parse
 from gym_open.errors import ArtefactError
 
 NUMBERS = st.integers(0, 99_999)

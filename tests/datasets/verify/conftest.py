@@ -12,7 +12,7 @@ from gym_open.agents.config import ExplorerConfig
 from gym_open.collect import explore
 from gym_open.collect.config import CollectConfig, CurriculumConfig, LogConfig
 from gym_open.collect.explore import collect
-from gym_open.datasets import papers
+from gym_open.datasets import documents
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.datasets.verify import Report, run, verify_release
@@ -29,7 +29,7 @@ EVERY = 8
 def made_up(make_log: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A release of made-up play, which does not replay."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(papers, "draw", lambda _: {})  # the figures take longer than all else
+        patch.setattr(documents, "draw", lambda _: {})  # the figures take longer than all else
         log = make_log(lengths=((9, 4, 5), (3, 6)), seed=5, reward_parts=("forward",), keyframe_every=4)
         out = tmp_path_factory.mktemp("made-up") / "open" / "explore" / "1.0.0"
         return build_release(ReleaseConfig(max_episode_steps=4), [log], out).path
@@ -88,6 +88,6 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def root(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A release of it: six episodes, each with a state of its beginning."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(papers, "draw", lambda _: {})
+        patch.setattr(documents, "draw", lambda _: {})
         out = tmp_path_factory.mktemp("release") / "1.0.0"
         return build_release(ReleaseConfig(max_episode_steps=EVERY, val_fraction=0.5), [log], out).path

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from gym_open.datasets import build, papers
+from gym_open.datasets import build, documents
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import FilterConfig, ReleaseConfig
 from gym_open.datasets.filter import filter_release
@@ -27,7 +27,7 @@ def made(log: Path, out: Path, *, cap: int = EVERY, forge: Callable[[Episode], E
         return (forge(episode) for episode in episodes_of_logs(*given))
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(papers, "draw", lambda _: {})
+        patch.setattr(documents, "draw", lambda _: {})
         patch.setattr(build, "episodes_of_logs", forged)
         return build_release(ReleaseConfig(max_episode_steps=cap, val_fraction=0.5), [log], out).path
 
@@ -52,7 +52,7 @@ def test_windows_go_on_in_the_next_piece_and_what_no_state_comes_before_is_count
     log: Path, tmp_path: Path, verify: Verify, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Segments of 24 steps, cut at 12, with states at 0, 8 and 16. A piece without the one before begins at 16."""
-    monkeypatch.setattr(papers, "draw", lambda _: {})
+    monkeypatch.setattr(documents, "draw", lambda _: {})
     whole = made(log, tmp_path / "1.0.0", cap=12)
     report = verify(whole)
     assert (report.problems, outcome(report, "replay")) == ([], "identical (48 steps in 6 windows)")

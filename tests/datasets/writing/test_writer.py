@@ -129,7 +129,7 @@ def test_killed_while_the_tables_are_written(log: Path, release: Release, tmp_pa
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from gym_open.datasets import papers
+from gym_open.datasets import documents
 from gym_open.datasets.writing import writer
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
@@ -142,7 +142,7 @@ def dies(episode, *, video):
         os.kill(os.getpid(), signal.SIGKILL)
     return prepare(episode)
 
-prepare, writer.prepare, papers.draw = writer.prepare, dies, lambda _: {}
+prepare, writer.prepare, documents.draw = writer.prepare, dies, lambda _: {}
 config = ReleaseConfig(data_file_mb=1, max_episode_steps=10, val_fraction=0.34)
 build_release(config, [Path(sys.argv[1])], Path(sys.argv[2]), workers=2)
 """

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from gym_open import artefacts
-from gym_open.datasets import papers
+from gym_open.datasets import documents
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.datasets.writing import lerobot_files
@@ -28,7 +28,7 @@ def root(
     """Two batches, in data files of one episode each."""
     out = tmp_path_factory.mktemp("r")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(papers, "draw", lambda _: {})  # figures take longer than all else
+        patch.setattr(documents, "draw", lambda _: {})  # figures take longer than all else
         patch.setattr(lerobot_files, "GROUP_ROWS", 3)
         for version, seed in (("1.0.0", 5), ("1.1.0", 6)):
             config = ReleaseConfig(version=version, max_episode_steps=4, pictures=request.param)

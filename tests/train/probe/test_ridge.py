@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from gym_open.train.ridge import fit_ridge
+from gym_open.train.probe.ridge import fit_ridge
 
 
 def data(n: int, inputs: int, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:

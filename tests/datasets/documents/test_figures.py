@@ -10,8 +10,8 @@ from matplotlib.colors import to_rgb
 from PIL import Image
 
 from gym_open.datasets import Release
-from gym_open.datasets.papers.facts import Facts, gather
-from gym_open.datasets.papers.figures import (
+from gym_open.datasets.documents.facts import Facts, gather
+from gym_open.datasets.documents.figures import (
     _COLUMNS,
     _ENDS,
     _GAP,

@@ -1,20 +1,31 @@
 """CHANGELOG.md: what changed in this version, and below it what the previous release's own says."""
 
 from gym_open.datasets.compare import payload
-from gym_open.datasets.compare.diff import diff_releases
+from gym_open.datasets.compare.diff import Diff
 from gym_open.datasets.config import Header
-from gym_open.datasets.papers.markdown import plain
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases import Release
 from gym_open.formats.releases.layout import CHANGELOG
+from gym_open.markdown import cell
 from gym_open.terminal import printable
 
 _LONGEST = 2**20
 """Bytes of a changelog that is taken over."""
 
 
-def changelog(header: Header, release: Release, previous: Release | None) -> str:
-    """Text of the changelog of `release`, whose other papers must be there already.
+def write_changelog(release: Release, header: Header, previous: Release | None, diff: Diff | None) -> None:
+    """Write the changelog of `release`, as `changelog` gives it."""
+    (release.root / CHANGELOG).write_text(changelog(header, release, previous, diff), encoding="utf-8")
+
+
+def changelog(header: Header, release: Release, previous: Release | None, diff: Diff | None) -> str:
+    """Text of the changelog of a release.
+
+    Args:
+        header: name, version and date of the release.
+        release: its data and `meta/` must be there already.
+        previous: the version before it, if there is one; its sections follow the new one.
+        diff: what changed since `previous`.
 
     Raises:
         ArtefactError: if the previous release, or its changelog, is not readable.
@@ -22,10 +33,9 @@ def changelog(header: Header, release: Release, previous: Release | None) -> str
     dated = f" ({header.published})" if header.published else ""
     head = f"# Changelog of {header.name}\n\n## {header.version}{dated}\n\n"
     content = f"Content digest `{payload.digests(release.root).release}`.\n"
-    if previous is None:
+    if previous is None or diff is None:
         return f"{head}First release.\n\n{content}"
-    diff = diff_releases(previous, release)
-    lines = "".join(f"- {plain(item.text)}\n" for item in diff.meanings)
+    lines = "".join(f"- {cell(item.text)}\n" for item in diff.meanings)
     return f"{head}A {diff.bump} change since {previous.version}:\n\n{lines}\n{content}\n{_earlier(previous)}"
 
 

@@ -14,8 +14,8 @@ from gym_open.config import decode
 from gym_open.datasets import Release, open_release
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import FilterConfig, MergeConfig, ReleaseConfig
-from gym_open.datasets.papers.facts import LogFacts
-from gym_open.datasets.papers.rebuild import rebuild_files
+from gym_open.datasets.documents.facts import LogFacts
+from gym_open.datasets.documents.rebuild import rebuild_files
 from gym_open.formats.releases.content import payload_digest
 from tests import children
 

@@ -65,6 +65,10 @@ class Played:
     ranges: dict[str, Range] = field(default_factory=dict)
     """Of what the explorer thought of its steps, by feature."""
 
+    def share(self, steps: int) -> float:
+        """These steps as a share of all its steps."""
+        return steps / max(self.steps, 1)
+
 
 @dataclass(frozen=True)
 class LogFacts:
@@ -78,6 +82,12 @@ class LogFacts:
     config: Mapping[str, Any]
     streams: int
     steps: int
+
+    @property
+    def curriculum(self) -> object:
+        """Name of the rule that decided when a stream left its world."""
+        section = self.config.get("curriculum")
+        return section.get("rule", "–") if isinstance(section, Mapping) else "–"
 
 
 @dataclass(frozen=True)

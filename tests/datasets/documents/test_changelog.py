@@ -9,10 +9,11 @@ import pytest
 
 from gym_open.datasets import Release, open_release
 from gym_open.datasets.build import build_release
+from gym_open.datasets.compare.diff import diff_releases
 from gym_open.datasets.compare.payload import digests
 from gym_open.datasets.config import Header, ReleaseConfig
-from gym_open.datasets.papers.changelog import changelog
-from gym_open.datasets.papers.licences import URLS, licence_text
+from gym_open.datasets.documents.changelog import changelog
+from gym_open.datasets.documents.licences import URLS, licence_text
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases.info import read_info
 
@@ -51,8 +52,9 @@ def test_an_earlier_changelog_that_is_none(first: Release, tmp_path: Path, conte
     (folder / "CHANGELOG.md").unlink()
     if content is not None:
         (folder / "CHANGELOG.md").write_bytes(content)
+    earlier = Release(folder, "", read_info(folder))
     with pytest.raises(ArtefactError, match=r"CHANGELOG\.md"):
-        changelog(Header(name="open/changes", version="1.0.1"), first, Release(folder, "", read_info(folder)))
+        changelog(Header(name="open/changes", version="1.0.1"), first, earlier, diff_releases(earlier, first))
 
 
 @pytest.mark.parametrize("spdx", sorted(URLS))

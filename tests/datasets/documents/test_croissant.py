@@ -12,7 +12,7 @@ import pytest
 
 from gym_open.datasets import Release
 from gym_open.datasets.config import Header
-from gym_open.datasets.papers.croissant import croissant
+from gym_open.datasets.documents.croissant import croissant
 from gym_open.files import sha256_file
 
 

@@ -10,7 +10,7 @@ import pytest
 from gym_open import artefacts
 from gym_open.datasets import Release
 from gym_open.datasets.config import ReleaseConfig
-from gym_open.datasets.papers.provenance import statement
+from gym_open.datasets.documents.provenance import statement
 from gym_open.formats.releases.layout import RECORDS
 
 

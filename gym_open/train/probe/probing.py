@@ -18,9 +18,9 @@ from gym_open.envs.constants import MOVES as DIRECTIONS
 from gym_open.envs.constants import PITCH
 from gym_open.formats.models import load_encoder
 from gym_open.train.config import ProbeConfig
-from gym_open.train.probe_scores import Score, auc, auc_score, mean_score, r2_score, ratio_score, resample
-from gym_open.train.probe_worlds import BODIES, MOVES, Sample, draw_samples
-from gym_open.train.ridge import fit_ridge
+from gym_open.train.probe.ridge import fit_ridge
+from gym_open.train.probe.scores import Score, auc, auc_score, mean_score, r2_score, ratio_score, resample
+from gym_open.train.probe.worlds import BODIES, MOVES, Sample, draw_samples
 
 PROBE = "probe.json"
 PARTS = ("train", "validation", "test")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gym_open.datasets.papers.facts import X_EDGES, Y_EDGES, Facts, Played
+from gym_open.datasets.documents.facts import X_EDGES, Y_EDGES, Facts, Played
 from gym_open.envs.constants import IMAGE_SIZE
 from gym_open.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, YELLOW, draw_coverage, plain_style, png
 from gym_open.terminal import printable

@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from gym_open.datasets.compare import payload
 from gym_open.datasets.config import Header
-from gym_open.datasets.papers.licences import URLS
+from gym_open.datasets.documents.licences import URLS
 from gym_open.formats.releases import IMAGE, Release
 from gym_open.formats.releases.schemas import STATS, episodes_schema, table_schema
 

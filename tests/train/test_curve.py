@@ -9,8 +9,8 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from gym_open import artefacts
 from gym_open.agents.config import CurlConfig, EncoderConfig
 from gym_open.train.config import EncoderTrainConfig
+from gym_open.train.curve import Board
 from gym_open.train.encoder import train_encoder
-from gym_open.train.tensorboard import Board
 
 
 def scalars(folder: Path) -> dict[str, list[tuple[int, float]]]:

@@ -5,20 +5,16 @@ import shutil
 import sys
 from pathlib import Path
 
-import markdown_it
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import yaml
-from hypothesis import given
-from hypothesis import strategies as st
 
 from gym_open.datasets import Release
-from gym_open.datasets.papers.card_text import MEANINGS
-from gym_open.datasets.papers.facts import gather
-from gym_open.datasets.papers.markdown import plain, table
+from gym_open.datasets.documents.card import MEANINGS
+from gym_open.datasets.documents.facts import gather
 from gym_open.errors import ArtefactError
 
 
@@ -144,39 +140,3 @@ def test_the_code_on_the_card_runs(text: str, release: Release, monkeypatch: pyt
     assert len(names["table"]) == len(release)
     assert names["windows"]
     assert "lerobot" in sys.modules
-
-
-HOSTILE = [
-    "[click](https://evil.example)",
-    "![x](https://evil.example/x.png)",
-    "<img src=x onerror=alert(1)>",
-    "a | b\n\n# heading",
-    "`code` **bold** ~~gone~~ $x$",
-    "https://evil.example www.evil.example me@evil.example",
-    "\x1b[2J\u202e",
-    "&lt;script&gt;",
-]
-
-
-@pytest.mark.parametrize("text", HOSTILE)
-def test_hostile_text_is_only_text(text: str) -> None:
-    assert only_text(text)
-
-
-@given(st.text(max_size=60))
-def test_any_text_is_only_text(text: str) -> None:
-    assert only_text(text)
-
-
-def only_text(text: str) -> bool:
-    """Whether a table with this text in a cell is a table of two rows whose cell holds plain text alone."""
-    rendered = markdown_it.MarkdownIt("gfm-like", {"linkify": False}).parse(table(["name", "n"], [[plain(text), "1"]]))
-    inline = [token for token in rendered if token.type == "inline"]
-    kinds = {child.type for token in inline for child in token.children or []}
-    return len(inline) == 4 and kinds <= {"text", "text_special"}
-
-
-def test_text_is_cut_and_bare_addresses_make_no_link() -> None:
-    assert len(plain("x" * 500)) == 120
-    assert "https://" not in plain("https://a.b")
-    assert "www." not in plain("www.a.b")

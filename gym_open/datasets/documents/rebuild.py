@@ -4,16 +4,13 @@ A release that was made of releases names them by payload digest; each of them c
 """
 
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
-
-import tomli_w
 
 from gym_open import artefacts
-from gym_open.config import to_dict
+from gym_open.config import to_dict, to_toml
 from gym_open.datasets.config import Header
-from gym_open.datasets.papers.facts import LogFacts
+from gym_open.datasets.documents.facts import LogFacts
 from gym_open.formats.releases.content import payload_digest
 from gym_open.formats.releases.info import read_info
 from gym_open.formats.releases.layout import RECORDS, SIGNATURE
@@ -92,8 +89,8 @@ def rebuild_files(
         previous: the release that this one follows, or takes over.
     """
     settings = {key: value for key, value in to_dict(config).items() if key != "append"}  # which is an option
-    files = {f"{command}.toml": _toml(settings)}
-    files.update({f"log-{log.number:03d}.toml": _toml(log.config) for log in logs if _was_collected(log)})
+    files = {f"{command}.toml": to_toml(settings).encode()}
+    files.update({f"log-{log.number:03d}.toml": to_toml(log.config).encode() for log in logs if _was_collected(log)})
     head = _HEAD.format(name=config.name, version=config.version, records=(*RECORDS, SIGNATURE))
     parts = [head]
     parts += [_parent(f"release_{i}", "a release that this one is made of", path) for i, path in enumerate(releases)]
@@ -102,19 +99,6 @@ def rebuild_files(
     parts += [_log(log) for log in logs]
     parts += [f"\n{_made(config, command, logs, len(releases), previous)}\n", _TAIL]
     return {**files, "rebuild.sh": "".join(parts).encode()}
-
-
-def _toml(config: Mapping[str, Any]) -> bytes:
-    """The configuration without what is `None`: TOML has no such value, and leaving a key out means the same."""
-    return tomli_w.dumps(_without_none(config)).encode()
-
-
-def _without_none(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _without_none(item) for key, item in value.items() if item is not None}
-    if isinstance(value, list):
-        return [_without_none(item) for item in value if item is not None]
-    return value
 
 
 def _was_collected(log: LogFacts) -> bool:

@@ -23,8 +23,8 @@ from gym_open.seeding import generator
 from gym_open.summary import probe_table
 from gym_open.train.config import EncoderTrainConfig, ProbeConfig
 from gym_open.train.encoder import train_encoder
-from gym_open.train.probe import TARGETS, logged_puzzles, probe, score
-from gym_open.train.probe_worlds import BODIES, MOVES, ONE_OF_EACH, Sample, draw_samples
+from gym_open.train.probe.probing import TARGETS, logged_puzzles, probe, score
+from gym_open.train.probe.worlds import BODIES, MOVES, ONE_OF_EACH, Sample, draw_samples
 
 TINY = ProbeConfig(train_worlds=12, validation_worlds=6, test_worlds=6, moves=2, pixels=False, threads=1)
 POSITIONS = {"agent", "yellow", "green", "heavy", "light"}
@@ -119,7 +119,7 @@ def test_an_untrained_encoder_gains_nothing_over_itself(
 ) -> None:
     few = {part: Sample(s.images[:20], s.positions[:20], s.moves[:20], s.contacts[:20]) for part, s in real.items()}
     encoder = coder(few["train"].images, "impala", features=8)
-    monkeypatch.setattr("gym_open.train.probe._untrained", lambda *_: encoder)
+    monkeypatch.setattr("gym_open.train.probe.probing._untrained", lambda *_: encoder)
     for row in score(TINY, encoder, few).values():
         assert row["gain"] == {"value": 0, "low": 0, "high": 0}
         assert row["scores"]["trained"] == row["scores"]["untrained"]

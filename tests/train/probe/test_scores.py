@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import mannwhitneyu
 
-from gym_open.train.probe_scores import Score, auc, auc_score, mean_score, r2_score, ratio_score, resample
+from gym_open.train.probe.scores import Score, auc, auc_score, mean_score, r2_score, ratio_score, resample
 
 RNG = np.random.default_rng(0)
 DRAWS = resample(400, np.random.default_rng(1))

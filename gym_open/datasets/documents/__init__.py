@@ -1,4 +1,4 @@
-"""The papers of a release: card, licence, changelog, Croissant metadata, figures, the way to make it again, provenance.
+"""The documents of a release: card, licence, changelog, Croissant metadata, figures, `rebuild/` and provenance.
 
 All are written from the data, without dates (but a day of publication that was given), paths, hosts or users.
 """
@@ -9,26 +9,29 @@ from typing import Literal
 
 from gym_open import artefacts
 from gym_open.datasets.config import Header
-from gym_open.datasets.papers.card import card, description
-from gym_open.datasets.papers.changelog import changelog
-from gym_open.datasets.papers.croissant import croissant
-from gym_open.datasets.papers.facts import gather
-from gym_open.datasets.papers.figures import draw
-from gym_open.datasets.papers.licences import licence_text
-from gym_open.datasets.papers.provenance import write_provenance
-from gym_open.datasets.papers.rebuild import rebuild_files
+from gym_open.datasets.documents.card import card, description
+from gym_open.datasets.documents.changelog import write_changelog
+from gym_open.datasets.documents.croissant import croissant
+from gym_open.datasets.documents.facts import gather
+from gym_open.datasets.documents.figures import draw
+from gym_open.datasets.documents.licences import licence_text
+from gym_open.datasets.documents.provenance import write_provenance
+from gym_open.datasets.documents.rebuild import rebuild_files
 from gym_open.formats.releases import Release
-from gym_open.formats.releases.layout import CARD, CHANGELOG, CROISSANT, LICENSE
+from gym_open.formats.releases.layout import CARD, CROISSANT, LICENSE
 
-__all__ = ["Command", "write_papers", "write_provenance"]
+__all__ = ["Command", "write_changelog", "write_documents", "write_provenance"]
 
 Command = Literal["build", "append", "merge", "filter"]
 
 
-def write_papers(
+def write_documents(
     release: Release, config: Header, *, command: Command, previous: Release | None, parents: Sequence[Path]
 ) -> None:
-    """Write all papers but `provenance.json` into a release whose `data`, `videos` and `meta` are there.
+    """Write the documents into a release whose `data`, `videos` and `meta` are there.
+
+    The changelog and `provenance.json` come later: the changelog says whether these documents changed, and
+    `provenance.json` lists all of them.
 
     Args:
         release: not sealed yet.
@@ -46,16 +49,14 @@ def write_papers(
     newest = max((log.batch for log in facts.logs), default=0)
     logs = [log for log in facts.logs if log.batch == newest] if command in {"build", "append"} else []
     rebuild = rebuild_files(config, command, logs, sources, previous.root if previous else None)
-    papers = {
+    documents = {
         CARD: card(config, facts).encode(),
         LICENSE: licence_text(config).encode(),
         CROISSANT: artefacts.canonical_json(croissant(config, release, description(facts))),
         **{f"figures/{name}": data for name, data in draw(facts).items()},
         **{f"rebuild/{name}": data for name, data in rebuild.items()},
     }
-    for name, data in papers.items():
+    for name, data in documents.items():
         path = release.root / name
         path.parent.mkdir(exist_ok=True)
         path.write_bytes(data)
-    text = changelog(config, release, previous)  # last: it says whether the card changed too
-    (release.root / CHANGELOG).write_text(text, encoding="utf-8")

@@ -1,0 +1,88 @@
+"""README.md: the card of a release, in the hub's form, written from the data alone, without dates or paths."""
+
+import functools
+from typing import TYPE_CHECKING
+
+from gym_open.datasets.config import Header
+from gym_open.datasets.documents.facts import Facts
+from gym_open.formats.releases.features import ACTION_NAMES, fps
+from gym_open.formats.releases.layout import PART
+from gym_open.markdown import cell
+
+if TYPE_CHECKING:
+    from jinja2 import Template
+
+_SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**7, "1M<n<10M"))
+"""The hub's categories, by frames."""
+_LARGEST = "10M<n<100M"
+MEANINGS = {
+    "observation.image": "what the camera sees, RGB",
+    "observation.state": "the agent: position (m), quaternion wxyz, linear (m/s) and angular velocity (rad/s)",
+    "observation.environment_state": "as `observation.state`, of every object; unused ones stand parked at y = −30 m",
+    "action": "one-hot of nine moves",
+    "action.index": "number of the action; −1 on an episode's last frame",
+    "reward.intrinsic": "the explorer's own reward",
+    "reward_part": "what the intrinsic reward is made of; NaN for explorers without it",
+    "world_model.loss": "the world model's on the world being played in, as the curriculum scales it; or NaN",
+    "policy.entropy": "nats, of the policy that chose the action",
+    "policy.value": "what the policy's critic expected",
+    "contact.count": "contacts in the step",
+    "contact.agent": "contacts of the agent in the step",
+    "contact.impulse": "sum of the impulses of all contacts (N s)",
+    "next.reward": "from outside: always 0",
+    "next.done": "always False",
+    "next.truncated": "nothing comes after in this episode",
+    "transition.valid": "False on an episode's last frame, which holds no action",
+    "timestamp": "seconds since the episode's start",
+    "frame_index": "within the episode",
+    "episode_index": "within the release",
+    "index": "within the release",
+    "task_index": "always 0: there is no task",
+}
+"""What features are."""
+
+
+def description(facts: Facts) -> str:
+    """A sentence or two on what the release is."""
+    release = facts.release
+    return (
+        f"What exploration policies saw and did in gym-open's sandbox, a table with spheres and cubes that an agent "
+        f"pushes about by nine discrete moves, without a task and without a reward from outside: {len(release):,} "
+        f"frames of 84×84 RGB in {len(release.episodes):,} episodes, {facts.steps:,} actions at {fps()} a simulated "
+        "second."
+    )
+
+
+def card(header: Header, facts: Facts) -> str:
+    """Text of the card."""
+    release = facts.release
+    return _template().render(
+        header=header, facts=facts, release=release, ours=release.info["gym_open"], description=description(facts),
+        size=next((name for most, name in _SIZES if len(release) < most), _LARGEST), actions=ACTION_NAMES, fps=fps(),
+    )  # fmt: skip
+
+
+@functools.cache
+def _template() -> "Template":
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("gym_open.datasets.documents", "."), autoescape=jinja2.select_autoescape(),
+        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, undefined=jinja2.StrictUndefined,
+    )  # fmt: skip
+    environment.filters |= {
+        "cell": cell, "code": _code, "meaning": _meaning,
+        "count": "{:,}".format, "digits": "{:.4g}".format,
+        "decimals": lambda value, places: f"{value:,.{places}f}",
+        "percent": lambda value, places: f"{value:.{places}%}",
+    }  # fmt: skip
+    return environment.get_template("card.md.jinja")
+
+
+def _meaning(feature: str) -> str:
+    return MEANINGS["reward_part"] if feature.startswith(PART) else MEANINGS.get(feature, "")
+
+
+def _code(name: str) -> str:
+    """A feature's name between back-ticks, where nothing is escaped."""
+    return "".join(c if c.isalnum() or c in "._-+ " else "?" for c in name)

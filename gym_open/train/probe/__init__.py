@@ -1,0 +1,5 @@
+"""Linear probes: what a linear map can read from a frozen encoder about worlds that it never saw."""
+
+from gym_open.train.probe.probing import probe
+
+__all__ = ["probe"]
