@@ -38,6 +38,13 @@ CHECKS = {
         assert np.array_equal(states[:, :2], np.stack(raw["observation.state"].to_list())[:, :2])
         assert len(streams) == 2
     """,
+    "Episodes": """
+        assert found.tolist() == [i for i, row in episodes.iterrows() if row["split"] == "train" and row["steps"] >= 2]
+        assert lengths == episodes["steps"].to_numpy()[found].tolist()
+        first, stop = episodes.iloc[episode.id][["dataset_from_index", "dataset_to_index"]]
+        assert np.array_equal(episode.observations, every[first:stop])
+        assert np.array_equal(episode.actions, raw["action.index"].to_numpy()[first:stop][:-1])
+    """,
     "Windows for training": """
         frames = windows.frames(np.arange(len(windows)))
         assert batch["observation.image"].shape == (16, 4, 84, 84, 3)

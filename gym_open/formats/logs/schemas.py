@@ -203,6 +203,18 @@ class Segment(msgspec.Struct, frozen=True, eq=False):
     ended: Ended | None
     """None if the segment goes on in the next piece."""
 
+    def __post_init__(self) -> None:
+        """Raises ValueError if the arrays do not have the lengths that belong together."""
+        steps = len(self.actions)
+        if not len(self.images) == len(self.object_state) == steps + 1:
+            raise ValueError(
+                f"expected one more observation than actions: got {len(self.images)} images, {len(self.object_state)} "
+                f"states and {steps} actions"
+            )
+        for name in ("contacts", "intrinsic_reward", "world_model_loss", "policy_entropy", "value"):
+            if len(getattr(self, name)) != steps:
+                raise ValueError(f"expected one {name} per action: got {len(getattr(self, name))} for {steps} actions")
+
 
 _HEADER = """\
 ================================================================================

@@ -1,6 +1,7 @@
 """Dataset releases on disk: their layout, their features, and the one reader that everyone uses."""
 
+from gym_open.formats.releases.episodes import EpisodeData
 from gym_open.formats.releases.layout import IMAGE, INFO_PATH, Table
 from gym_open.formats.releases.reader import Release, open_release
 
-__all__ = ["IMAGE", "INFO_PATH", "Release", "Table", "open_release"]
+__all__ = ["IMAGE", "INFO_PATH", "EpisodeData", "Release", "Table", "open_release"]

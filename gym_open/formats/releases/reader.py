@@ -11,7 +11,7 @@ A release is anybody's until it is verified: files are read by their own names o
 """
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -19,9 +19,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from gym_open import artefacts, extras
-from gym_open.errors import ArtefactError
+from gym_open.errors import ArtefactError, UsageError
 from gym_open.formats.pngs import decode_untrusted
 from gym_open.formats.releases import parquet, videos
+from gym_open.formats.releases.episodes import EpisodeData
 from gym_open.formats.releases.info import read_info
 from gym_open.formats.releases.layout import (
     DATA_PATHS,
@@ -156,6 +157,41 @@ class Release:
         return np.concatenate(
             [np.empty(0, np.int64), *(np.arange(first, stop, dtype=np.int64) for first, stop in spans)]
         )
+
+    def filter_episodes(self, condition: Callable[[dict[Any, Any]], bool]) -> np.ndarray:
+        """Indices of the episodes whose row of `episodes` meets a condition, int64, ascending; reads no frames."""
+        rows = self.episodes.to_dict("records")
+        return np.array([row["episode_index"] for row in rows if condition(row)], dtype=np.int64)
+
+    def iterate_episodes(self, indices: Sequence[int] | np.ndarray | None = None) -> Iterator[EpisodeData]:
+        """Read the episodes `indices` (default all) one after the other; memory is that of one episode.
+
+        Raises:
+            IndexError: if an index is not an episode of this release.
+            ArtefactError: if a file or an image is damaged.
+        """
+        total = len(self.episodes)
+        for index in range(total) if indices is None else indices:
+            if not 0 <= index < total:
+                raise IndexError(f"{self.root}: expected an episode within [0, {total}), got {index}")
+            row = self.episodes.iloc[index]
+            first, stop = int(row["dataset_from_index"]), int(row["dataset_to_index"])
+            frames = self.numbers(first, stop)
+            actions, rewards = frames["action.index"][:-1], frames["reward.intrinsic"][:-1]
+            yield EpisodeData(int(index), self.images(range(first, stop)), actions, rewards, frames)
+
+    def sample_episodes(
+        self, n: int, rng: np.random.Generator, indices: Sequence[int] | np.ndarray | None = None
+    ) -> Iterator[EpisodeData]:
+        """Read `n` different episodes, drawn uniformly at random from `indices` (default all).
+
+        Raises:
+            UsageError: if there are fewer than `n`.
+        """
+        pool = np.arange(len(self.episodes)) if indices is None else np.asarray(indices)
+        if not 0 <= n <= len(pool):
+            raise UsageError(f"n: expected 0 to {len(pool)}, the number of episodes to draw from, got {n}")
+        return self.iterate_episodes(rng.choice(pool, size=n, replace=False))
 
     def pngs(self, indices: Sequence[int] | np.ndarray) -> list[bytes]:
         """PNG files of the frames `indices`, in their order.

@@ -15,9 +15,9 @@ from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.datasets.writing import lerobot_files
 from gym_open.datasets.writing.video import encode_clip
-from gym_open.errors import ArtefactError
+from gym_open.errors import ArtefactError, UsageError
 from gym_open.files import sha256_file
-from gym_open.formats.releases import IMAGE, Release, open_release, videos
+from gym_open.formats.releases import IMAGE, EpisodeData, Release, open_release, videos
 from gym_open.formats.releases.layout import TABLES
 
 
@@ -99,6 +99,39 @@ def test_a_split_is_its_episodes_frames(release: Release) -> None:
         release.split("test")
     with pytest.raises(KeyError, match="no table 'rewards'; releases have streams"):
         release.table("rewards")  # pyright: ignore[reportArgumentType]
+
+
+def test_episodes_are_found_drawn_and_read(release: Release) -> None:
+    every, table = release.images(range(len(release))), release.episodes
+    train = release.filter_episodes(lambda row: row["split"] == "train")
+    assert train.tolist() == table.loc[table["split"] == "train", "episode_index"].tolist()
+    for episode, row in zip(release.iterate_episodes(), table.to_dict("records"), strict=True):
+        span = slice(row["dataset_from_index"], row["dataset_to_index"])
+        assert np.array_equal(episode.observations, every[span])
+        assert episode.actions.tolist() == release.column("action.index")[span][:-1].tolist()
+        assert episode.rewards.tolist() == release.column("reward.intrinsic")[span][:-1].tolist()
+        assert (episode.id, len(episode.actions)) == (row["episode_index"], row["steps"])
+    drawn = [[one.id for one in release.sample_episodes(2, np.random.default_rng(3), train)] for _ in range(2)]
+    assert drawn[0] == drawn[1]
+    assert len({*drawn[0]} & {*train.tolist()}) == 2
+    with pytest.raises(UsageError, match=f"n: expected 0 to {len(table)}, the number of episodes to draw from"):
+        release.sample_episodes(len(table) + 1, np.random.default_rng(0))
+    with pytest.raises(IndexError, match=rf"expected an episode within \[0, {len(table)}\), got {len(table)}"):
+        next(release.iterate_episodes([len(table)]))
+
+
+@pytest.mark.parametrize(
+    ("counts", "said"),
+    [
+        ((5, 5, 5, 6), "expected one more observation than actions: got 5 observations and 5 actions"),
+        ((6, 5, 6, 6), "expected one reward per action: got 6 rewards and 5 actions"),
+        ((6, 5, 5, 5), "expected 6 rows of every feature: index has 5"),
+    ],
+)
+def test_an_episode_whose_arrays_do_not_fit_is_refused(counts: tuple[int, int, int, int], said: str) -> None:
+    observations, actions, rewards, rows = (np.zeros(count) for count in counts)
+    with pytest.raises(ValueError, match=said):
+        EpisodeData(0, observations, actions, rewards, {"index": rows})
 
 
 def test_name_and_version(release: Release) -> None:
