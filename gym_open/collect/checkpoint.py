@@ -1,13 +1,16 @@
 """Checkpoints of exploration: with them and the logs' whole chunks, a killed run goes on as if it had not been."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 import torch
 from torch import Tensor
 
-from gym_open.collect.stream import Place
+from gym_open.agents.explorer import Explorer
+from gym_open.collect.pool import Pool
+from gym_open.collect.stream import Place, Stream
 from gym_open.collect.summary import Record
 from gym_open.collect.tally import Tally
 from gym_open.errors import ArtefactError
@@ -19,9 +22,6 @@ from gym_open.formats.checkpoints import (
     save_checkpoint,
     without_prefix,
 )
-
-if TYPE_CHECKING:
-    from gym_open.collect.explore import Exploration
 
 NAME = "state.safetensors"
 _META = "meta"
@@ -47,22 +47,22 @@ class Saved(NamedTuple):
         return self.meta.messages
 
 
-def save(path: Path, run: "Exploration") -> None:
-    """Write all that the run's future depends on; the logs reach the disk first."""
-    for stream in run.streams:
+def save(path: Path, record: Record, explorer: Explorer, pool: Pool, streams: Sequence[Stream]) -> None:
+    """Write everything that the run's future depends on. The logs reach the disk first."""
+    for stream in streams:
         stream.log.sync()
     meta = _Meta(
-        record=run.record,
-        places=[stream.place for stream in run.streams],
-        tallies=run.pool.tallies,
-        messages=[stream.log.messages for stream in run.streams],
+        record=record,
+        places=[stream.place for stream in streams],
+        tallies=pool.tallies,
+        messages=[stream.log.messages for stream in streams],
     )
-    live = {str(stream.index): torch.from_numpy(stream.save_state()) for stream in run.streams}
-    optimizer = run.explorer.optimizer
+    live = {str(stream.index): torch.from_numpy(stream.save_state()) for stream in streams}
+    optimizer = explorer.optimizer
     tensors = {
-        **prefixed("explorer", run.explorer.tensors()),
+        **prefixed("explorer", explorer.tensors()),
         **prefixed("optimizer", optimizer_tensors(optimizer) if optimizer else {}),
-        **prefixed("pool", run.pool.tensors()),
+        **prefixed("pool", pool.tensors()),
         **prefixed("live", live),
     }
     # A tensor, since the header that JSON would go into holds 100 MB at most, and the curve grows with every rollout.
@@ -85,15 +85,15 @@ def load(path: Path) -> Saved | None:
         raise ArtefactError(f"{path}: no checkpoint of a run ({error}); remove its folder to start over") from None
 
 
-def restore(saved: Saved, run: "Exploration") -> None:
-    """Put a run that has not begun where the saved one was."""
-    run.record = saved.meta.record
-    run.explorer.load_tensors(without_prefix("explorer", saved.tensors))
-    if run.explorer.optimizer:
-        load_optimizer(run.explorer.optimizer, without_prefix("optimizer", saved.tensors))
-    run.pool.load_tensors(without_prefix("pool", saved.tensors))
-    run.pool.tallies = saved.meta.tallies
+def restore(saved: Saved, explorer: Explorer, pool: Pool, streams: Sequence[Stream]) -> Record:
+    """Put the parts of a run that has not begun into the saved state, and return its record."""
+    explorer.load_tensors(without_prefix("explorer", saved.tensors))
+    if explorer.optimizer:
+        load_optimizer(explorer.optimizer, without_prefix("optimizer", saved.tensors))
+    pool.load_tensors(without_prefix("pool", saved.tensors))
+    pool.tallies = saved.meta.tallies
     live = without_prefix("live", saved.tensors)
-    for stream, place in zip(run.streams, saved.meta.places, strict=True):
+    for stream, place in zip(streams, saved.meta.places, strict=True):
         stream.place = place
         stream.load(live[str(stream.index)].numpy())
+    return saved.meta.record

@@ -118,7 +118,7 @@ class Exploration:
             for index, count in enumerate(messages)
         ]
         if saved:
-            checkpoint.restore(saved, self)
+            self.record = checkpoint.restore(saved, self.explorer, self.pool, self.streams)
         else:
             self._start()
 
@@ -152,7 +152,8 @@ class Exploration:
                     self._end("budget", self._all_losses())
                 bar.advance(length * config.streams, self._note())
                 if record.rollouts % config.checkpoint_every == 0 and record.ended is None:
-                    checkpoint.save(self.folder / artefacts.SCRATCH / checkpoint.NAME, self)
+                    path = self.folder / artefacts.SCRATCH / checkpoint.NAME
+                    checkpoint.save(path, record, self.explorer, self.pool, self.streams)
 
     def finish(self) -> None:
         """Write the summary, and what the encoder has become."""
