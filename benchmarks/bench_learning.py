@@ -24,7 +24,7 @@ from rich.table import Table
 from gym_open.agents.augment import draw_shifts
 from gym_open.agents.encoder import IMAGE_SHAPE, Encoder, autocast
 from gym_open.agents.world_model import Transitions
-from gym_open.agents.world_models import WORLD_MODELS
+from gym_open.agents.world_models import make_world_model
 from gym_open.collect.config import CollectConfig
 from gym_open.collect.explore import Exploration
 from gym_open.config import load
@@ -44,7 +44,7 @@ FULL = 8
 def encoder_training(name: Learned, precision: Precision) -> tuple[Work, int, float]:
     """Some gradient steps, how many pictures they look at, and their MFLOP; as `train encoder` takes them."""
     config, generator = EncoderTrainConfig(world_model=name), torch.Generator().manual_seed(0)
-    model = WORLD_MODELS[name](config, Encoder(config.encoder, generator), N_ACTIONS, generator)
+    model = make_world_model(name, config, Encoder(config.encoder, generator), N_ACTIONS, generator)
     learned = [parameter for parameter in model.parameters() if parameter.requires_grad]
     optimizer = torch.optim.Adam(learned, lr=config.learning_rate, fused=True)
     size = config.batch_size

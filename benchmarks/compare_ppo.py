@@ -33,7 +33,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from gym_open import seeding
 from gym_open.agents.config import EncoderConfig, PPOConfig
-from gym_open.agents.state import StateEncoder
+from gym_open.agents.encoder import StateEncoder
 from gym_open.envs.env import OpenEnv
 from gym_open.envs.puzzles.sets import puzzles_of
 from gym_open.envs.state import STATE_SIZE, state_vector

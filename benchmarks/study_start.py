@@ -17,8 +17,7 @@ import msgspec
 import torch
 from torch import Tensor, nn
 
-from gym_open.agents.encoder import Encoder
-from gym_open.agents.layers import init_layer
+from gym_open.agents.encoder import Encoder, init_layer
 from gym_open.config import load
 from gym_open.train.config import PolicyTrainConfig
 from gym_open.train.policy import train_policy

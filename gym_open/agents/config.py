@@ -1,6 +1,6 @@
 """Configurations of the agents' parts; no torch here, so that `gym-open --help` answers at once."""
 
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple
 
 from msgspec import Meta
 
@@ -11,8 +11,6 @@ Width = Annotated[int, Meta(ge=1, le=16_384)]
 """Of a layer; bounded, since a network is made as its file says before its weights are looked at."""
 Device = Literal["cpu", "cuda"]
 Architecture = Literal["cnn", "impala", "state"]
-WorldModelName = Literal["none", "icm", "rnd", "curl"]
-RewardName = Literal["none", "error", "ride", "counted-ride"]
 _NAME = r"(?!(?:random|oracle|human)\Z)[a-z0-9][a-z0-9+_-]{0,47}\Z"
 _NAME_IN_WORDS = (
     "a name of small letters, digits, +, _ and -, at most 48, and none of random, oracle and human, which are always "
@@ -37,47 +35,101 @@ class EncoderConfig(Config, frozen=True, kw_only=True):
     """Subtract the mean picture."""
 
 
-class IcmConfig(Config, frozen=True, kw_only=True):
+class ImagePasses(NamedTuple):
+    """How often one image passes through a world model's networks; `gym_open.forecast` estimates times from it."""
+
+    learned: int
+    """Forward and backward, per update."""
+    looked: int
+    """Only forward, per update: for keys and targets."""
+    judged: int
+    """Only forward, to compute the model's own error or the loss of a world."""
+
+
+class WorldModelConfig(Config, frozen=True, kw_only=True):
+    """What every world model's section has; enough for a world model without settings of its own."""
+
+    passes: ClassVar[ImagePasses] = ImagePasses(learned=1, looked=1, judged=2)
+
+    loss_scale: PositiveFloat = 1.0
+    """The loss of a world is multiplied by this before the curriculum compares it with its threshold."""
+
+
+class IcmConfig(WorldModelConfig, frozen=True, kw_only=True):
     """Intrinsic curiosity module (Pathak et al. 2017; `pathak22/noreward-rl`)."""
+
+    passes: ClassVar[ImagePasses] = ImagePasses(learned=2, looked=0, judged=2)
 
     hidden: Width = 256
     """Width of the hidden layer of the inverse and of the forward model."""
     beta: Fraction = 0.2
-    """Share of the forward error in the loss; the inverse error has the rest."""
+    """Share of the forward error in the loss. The inverse error has the remaining share."""
     eta: PositiveFloat = 0.01
     """Weight of the forward error in the reward."""
     eta_inverse: NonNegativeFloat = 0.0
-    """Weight of the inverse error in the reward: ICM's own has none, OPEn's table names both."""
+    """Weight of the inverse error in the reward. ICM has none; OPEn's table names both errors."""
     loss_scale: PositiveFloat = 0.0067
-    """What the loss of a world is multiplied by before the curriculum looks at it."""
+    """The loss of a world is multiplied by this before the curriculum compares it with its threshold."""
 
 
-class RndConfig(Config, frozen=True, kw_only=True):
+class RndConfig(WorldModelConfig, frozen=True, kw_only=True):
     """Random network distillation (Burda et al. 2018; `openai/random-network-distillation`)."""
 
     hidden: Width = 512
     """Width of the predictor's two hidden layers."""
     outputs: Width = 512
-    """Features that the target gives and the predictor predicts."""
+    """Number of outputs of the target, which the predictor predicts."""
     clip: PositiveFloat = 5.0
-    """Deviations beyond which the target's pixels are clipped."""
+    """The target's pixels are clipped to this many standard deviations."""
     loss_scale: PositiveFloat = 0.005
-    """What the loss of a world is multiplied by before the curriculum looks at it."""
+    """The loss of a world is multiplied by this before the curriculum compares it with its threshold."""
 
 
-class CurlConfig(Config, frozen=True, kw_only=True):
+class CurlConfig(WorldModelConfig, frozen=True, kw_only=True):
     """Contrastive world model (Srinivas et al. 2020, `MishaLaskin/curl`), with random shift in place of its crop."""
 
     latent: Width = 50
-    """Width of the projection that is compared."""
+    """Width of the projection in which images are compared."""
     pad: Count = 4
-    """Largest random shift, in pixels, of the views of a picture."""
+    """Largest random shift of an image, in pixels."""
     tau: Fraction = 0.05
-    """Share of the query encoder that enters the key encoder at an update."""
+    """Share of the query encoder that enters the key encoder at each of its updates."""
     update_every: PositiveInt = 2
-    """The key encoder is updated every so many gradient steps."""
+    """Gradient steps between two updates of the key encoder."""
     loss_scale: PositiveFloat = 0.00067
-    """What the loss of a world is multiplied by before the curriculum of exploration looks at it."""
+    """The loss of a world is multiplied by this before the curriculum compares it with its threshold."""
+
+
+class WorldModelSections(Config, frozen=True, kw_only=True):
+    """One section per world model. The key `world_model` of the whole configuration says which section is used.
+
+    The section `ae` belongs to the class `Ae` in `gym_open/agents/ae.py`.
+    """
+
+    icm: IcmConfig = IcmConfig()
+    """Used if `world_model` is `icm`."""
+    rnd: RndConfig = RndConfig()
+    """Used if `world_model` is `rnd`."""
+    curl: CurlConfig = CurlConfig()
+    """Used if `world_model` is `curl`."""
+
+    def section(self, name: "WorldModelName") -> WorldModelConfig:
+        """The section of the world model `name`."""
+        return getattr(self, name)
+
+
+REWARDS = {
+    "error": "rewards.OwnError",
+    "ride": "rewards.Ride",
+    "counted-ride": "rewards.CountedRide",
+}
+"""Intrinsic rewards by name, and the module and class of each in `gym_open/agents/`."""
+if TYPE_CHECKING:
+    WorldModelName = ExplorerModelName = RewardName = str
+else:
+    WorldModelName = Literal[WorldModelSections.__struct_fields__]
+    ExplorerModelName = Literal["none", *WorldModelSections.__struct_fields__]
+    RewardName = Literal["none", *REWARDS]
 
 
 class PPOConfig(Config, frozen=True, kw_only=True):
@@ -120,27 +172,21 @@ EXPLORER_PPO = PPOConfig(learning_rate=1e-3, minibatch_size=128, update_epochs=3
 """What exploration changes of PPO's defaults, which are those of fine-tuning."""
 
 
-class ExplorerConfig(Config, frozen=True, kw_only=True):
-    """Who plays: a world model and the reward that is made of it, over one PPO."""
+class ExplorerConfig(WorldModelSections, frozen=True, kw_only=True):
+    """An explorer: a world model and a reward that is computed from it, over one PPO."""
 
-    world_model: WorldModelName = "curl"
-    """What is learned of the world; `none` learns nothing, and acts at random."""
+    world_model: ExplorerModelName = "curl"
+    """The world model that learns. With `none`, nothing is learned and actions are random."""
     reward: RewardName = "ride"
-    """From within: the world model's own `error`, `ride` (how far an action moved the world in the model's latent
-    space), `counted-ride` (the same, less where the agent has been before in its stay), or `none`, which acts uniformly
-    at random while the model, if there is one, still learns."""
+    """The intrinsic reward: `error` is the world model's own error. `ride` is the distance that an action moved the
+    world in the model's latent space. `counted-ride` is the same, but smaller where the agent has been before in this
+    segment. With `none`, actions are uniformly random, and the world model, if there is one, still learns."""
     share_encoder: bool = True
-    """Policy and world model share one encoder, as the paper insists; else each has one of its own."""
+    """Whether policy and world model share one encoder, as in the paper. If not, each has its own encoder."""
     encoder: EncoderConfig = EncoderConfig()
-    """From pictures to features."""
-    icm: IcmConfig = IcmConfig()
-    """Looked at if `world_model` is `icm`."""
-    rnd: RndConfig = RndConfig()
-    """Looked at if `world_model` is `rnd`."""
-    curl: CurlConfig = CurlConfig()
-    """Looked at if `world_model` is `curl`."""
+    """From images to features."""
     ppo: PPOConfig = EXPLORER_PPO
-    """The learner of the policy; its Adam, minibatches and epochs are the world model's too; no `anneal_lr` here."""
+    """The learner of the policy. The world model uses the same Adam, minibatches and epochs. `anneal_lr` is refused."""
 
     def __post_init__(self) -> None:
         if self.world_model == "none" and self.reward != "none":
@@ -149,7 +195,7 @@ class ExplorerConfig(Config, frozen=True, kw_only=True):
                 "give `reward` 'none'"
             )
         if self.encoder.architecture == "state":
-            raise ValueError("`encoder.architecture` 'state' is for policies on a task; explorers look at pictures")
+            raise ValueError("`encoder.architecture` 'state' is for policies on a task; explorers look at images")
         if self.ppo.anneal_lr:
             raise ValueError(
                 "`ppo.anneal_lr` needs to know where a run ends, and exploration may end before its budget is spent: "

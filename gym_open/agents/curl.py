@@ -17,8 +17,7 @@ from torch import Tensor, nn
 
 from gym_open.agents.augment import draw_shifts, no_shifts
 from gym_open.agents.config import CurlConfig
-from gym_open.agents.encoder import Encoder, autocast
-from gym_open.agents.layers import init_layer
+from gym_open.agents.encoder import Encoder, autocast, init_layer
 from gym_open.agents.threads import through
 from gym_open.agents.world_model import Transitions, WorldModel
 
@@ -33,8 +32,8 @@ class Curl(WorldModel):
     figures = ("accuracy",)
     _steps: Tensor
 
-    def __init__(self, encoder: Encoder, config: CurlConfig, generator: torch.Generator) -> None:
-        super().__init__(encoder, config.loss_scale)
+    def __init__(self, encoder: Encoder, config: CurlConfig, n_actions: int, generator: torch.Generator) -> None:
+        super().__init__(encoder, config, n_actions)
         self.config = config
         linear = nn.Linear(encoder.config.features, config.latent)
         init_layer(linear, generator)

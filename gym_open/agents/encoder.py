@@ -1,6 +1,16 @@
-"""The image encoder: centred, scaled pixels through the paper's three-layer CNN, or through a deeper one."""
+"""Encoders: from observations, or from the simulator state, to features.
 
+`Encoder` centres and scales an image and passes it through one of two networks: the paper's three-layer one (Mnih et
+al. 2015), or the deeper one of IMPALA (Espeholt et al. 2018, figure 3 right, without its LSTM). `StateEncoder` takes
+the simulator state instead of an image: it is the upper bound for any encoder of images.
+
+Departure from `deepmind/scalable_agent`: IMPALA's weights are orthogonal, as in the three-layer network. The last
+convolution of each residual block has a smaller gain, so that all six blocks together add about as much as they get.
+"""
+
+import math
 from collections.abc import Callable
+from itertools import pairwise
 from typing import cast
 
 import numpy as np
@@ -10,9 +20,8 @@ from torch import Tensor, nn
 from gym_open.agents import convolve
 from gym_open.agents.augment import no_shifts, shift_each
 from gym_open.agents.config import EncoderConfig
-from gym_open.agents.impala import impala
-from gym_open.agents.layers import init_layer
 from gym_open.agents.threads import through
+from gym_open.envs.state import STATE_SIZE
 from gym_open.precision import PrecisionSetting, resolve
 
 IMAGE_SHAPE = (84, 84, 3)
@@ -22,6 +31,13 @@ IMAGE_SHAPE = (84, 84, 3)
 def autocast(precision: PrecisionSetting, device: str = "cpu") -> torch.autocast:
     """Context in which the network computes in `precision` (weights and losses stay fp32) on a `device`."""
     return torch.autocast(device, torch.bfloat16, enabled=resolve(precision, device) == "bf16")
+
+
+def init_layer(layer: nn.Conv2d | nn.Linear, generator: torch.Generator, std: float = math.sqrt(2)) -> None:
+    """Orthogonal weights of gain `std` and zero bias, drawn from `generator` (as CleanRL's `layer_init`)."""
+    nn.init.orthogonal_(layer.weight, std, generator=generator)
+    if layer.bias is not None:
+        nn.init.zeros_(layer.bias)
 
 
 class Convolutions(nn.Sequential):
@@ -55,6 +71,43 @@ def convolutions(features: int, activation: Callable[[], nn.Module], generator: 
     for layer in layers:
         if isinstance(layer, nn.Conv2d | nn.Linear):
             init_layer(layer, generator)
+    return layers.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]  (missing in torch's stubs)
+
+
+_CHANNELS = (3, 16, 32, 32)
+_BLOCKS = 2
+"""Residual blocks a stage."""
+
+
+class _Residual(nn.Module):
+    """`x + conv(relu(conv(relu(x))))`."""
+
+    def __init__(self, channels: int, generator: torch.Generator) -> None:
+        super().__init__()
+        self.first = nn.Conv2d(channels, channels, kernel_size=3, padding=1)
+        self.last = nn.Conv2d(channels, channels, kernel_size=3, padding=1)
+        init_layer(self.first, generator)
+        init_layer(self.last, generator, std=math.sqrt(2 / (_BLOCKS * (len(_CHANNELS) - 1))))
+
+    def forward(self, x: Tensor) -> Tensor:
+        return x + self.last(self.first(x.relu()).relu())
+
+
+def impala(features: int, generator: torch.Generator) -> nn.Sequential:
+    """Three stages of 16, 32 and 32 channels, then a linear layer of `features`.
+
+    A stage is a 3×3 convolution, a 3×3 max-pool of stride 2 and two residual blocks. It maps (B, 3, 84, 84) to
+    (B, features), with a ReLU before the linear layer and none after it.
+    """
+    layers = nn.Sequential()
+    for inputs, outputs in pairwise(_CHANNELS):
+        first = nn.Conv2d(inputs, outputs, kernel_size=3, padding=1)
+        init_layer(first, generator, std=1.0)  # no ReLU before it
+        layers.extend([first, nn.MaxPool2d(kernel_size=3, stride=2, padding=1)])
+        layers.extend(_Residual(outputs, generator) for _ in range(_BLOCKS))
+    linear = nn.Linear(_CHANNELS[-1] * 11 * 11, features)  # 84 halved three times, rounded up
+    init_layer(linear, generator)
+    layers.extend([nn.ReLU(), nn.Flatten(), linear])
     return layers.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]  (missing in torch's stubs)
 
 
@@ -134,3 +187,38 @@ class Encoder(nn.Module):
         if isinstance(images, np.ndarray):  # copied, since torch takes no read-only array, nor one that runs backwards
             images = torch.from_numpy(np.array(images, order="C")).to(self.mean_image.device)
         return self(self.prepare(images)).float()
+
+
+class StateEncoder(nn.Module):
+    """State to features: two hidden layers, tanh, as PPO's policies on state are in CleanRL's `ppo.py`."""
+
+    shape = (STATE_SIZE,)
+    """Of what it is told."""
+    dtype = torch.float32
+    """Of what it is told."""
+
+    def __init__(self, config: EncoderConfig, generator: torch.Generator) -> None:
+        super().__init__()
+        self.config = config
+        first, second = nn.Linear(STATE_SIZE, config.features), nn.Linear(config.features, config.features)
+        for layer in (first, second):
+            init_layer(layer, generator)
+        self.layers = nn.Sequential(first, nn.Tanh(), second, nn.Tanh())
+
+    def prepare(self, states: Tensor) -> Tensor:
+        """The states themselves, (B, `STATE_SIZE`) float32."""
+        return states
+
+    def prepare_shifted(self, states: Tensor, shifts: Tensor) -> Tensor:  # noqa: ARG002  (there is no picture)
+        """The states themselves: there is no picture to shift."""
+        return states
+
+    def forward(self, prepared: Tensor) -> Tensor:
+        """Features (B, features) of states."""
+        return self.layers(prepared)
+
+
+def make_encoder(config: EncoderConfig, generator: torch.Generator) -> Encoder | StateEncoder:
+    """The untrained encoder that the configuration names."""
+    kind = StateEncoder if config.architecture == "state" else Encoder
+    return kind(config, generator)

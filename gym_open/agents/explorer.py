@@ -11,7 +11,7 @@ One gradient-norm clip, PPO's 0.5, spans policy and model, as one Adam does: the
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -20,21 +20,14 @@ from torch import Tensor, nn
 
 from gym_open import seeding
 from gym_open.agents.augment import draw_shifts
-from gym_open.agents.config import ExplorerConfig, RewardName
+from gym_open.agents.config import ExplorerConfig
 from gym_open.agents.encoder import Encoder, autocast
 from gym_open.agents.policy import ActorCritic
 from gym_open.agents.ppo import Rollout, gae, policy_loss, value_loss
-from gym_open.agents.rewards import CountedRide, OwnError, Reward, RewardScale, Ride
+from gym_open.agents.rewards import Reward, RewardScale, make_reward
 from gym_open.agents.world_model import Transitions, WorldModel
-from gym_open.agents.world_models import WORLD_MODELS
+from gym_open.agents.world_models import make_world_model
 from gym_open.errors import DivergedError
-
-REWARDS: dict[RewardName, Callable[[WorldModel, int], Reward]] = {
-    "error": lambda model, _: OwnError(model),
-    "ride": lambda model, _: Ride(model),
-    "counted-ride": CountedRide,
-}
-"""Rewards by name, made of a world model, for a number of streams."""
 
 
 @dataclass(frozen=True)
@@ -101,10 +94,10 @@ class Explorer:
             self.encoder = Encoder(config.encoder, init)
             shared = config.share_encoder or config.reward == "none"
             own = self.encoder if shared else Encoder(config.encoder, init)
-            self.model = WORLD_MODELS[config.world_model](config, own, n_actions, init)
+            self.model = make_world_model(config.world_model, config, own, n_actions, init)
             if config.reward != "none":
                 self.policy = ActorCritic(self.encoder, n_actions, init)
-                self._reward = REWARDS[config.reward](self.model, n_streams)
+                self._reward = make_reward(config.reward, self.model, n_streams)
         self.reward_parts: tuple[str, ...] = self._reward.parts if self._reward else ()
         self._modules = nn.ModuleDict(
             {k: v for k, v in (("policy", self.policy), ("model", self.model)) if v is not None}

@@ -18,8 +18,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from gym_open.agents.config import IcmConfig
-from gym_open.agents.encoder import Encoder
-from gym_open.agents.layers import init_layer
+from gym_open.agents.encoder import Encoder, init_layer
 from gym_open.agents.world_model import Transitions, WorldModel
 
 
@@ -29,9 +28,8 @@ class Icm(WorldModel):
     figures = ("forward", "inverse", "inverse_accuracy")
 
     def __init__(self, encoder: Encoder, config: IcmConfig, n_actions: int, generator: torch.Generator) -> None:
-        super().__init__(encoder, config.loss_scale)
+        super().__init__(encoder, config, n_actions)
         self.config = config
-        self.n_actions = n_actions
         self.error_parts = ("forward", "inverse") if config.eta_inverse else ("forward",)
         width = encoder.config.features
         self.inverse = _two_layers(2 * width, config.hidden, n_actions, generator)

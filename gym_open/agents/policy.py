@@ -4,17 +4,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from gym_open.agents.config import EncoderConfig
-from gym_open.agents.encoder import Encoder
-from gym_open.agents.layers import init_layer
-from gym_open.agents.state import StateEncoder
+from gym_open.agents.encoder import Encoder, StateEncoder, init_layer
 from gym_open.errors import DivergedError
-
-
-def make_encoder(config: EncoderConfig, generator: torch.Generator) -> Encoder | StateEncoder:
-    """The untrained encoder that the configuration names."""
-    kind = StateEncoder if config.architecture == "state" else Encoder
-    return kind(config, generator)
 
 
 class ActorCritic(nn.Module):

@@ -4,12 +4,14 @@ import hashlib
 import math
 from abc import ABC, abstractmethod
 from collections import Counter
+from importlib import import_module
 
 import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from gym_open.agents.config import REWARDS, RewardName
 from gym_open.agents.world_model import Transitions, WorldModel
 
 
@@ -21,6 +23,9 @@ class Reward(ABC):
     """
 
     parts: tuple[str, ...]
+
+    def __init__(self, model: WorldModel, n_streams: int = 1) -> None:
+        self.model, self.n_streams = model, n_streams
 
     @abstractmethod
     def __call__(self, images: Tensor, actions: Tensor, features: Tensor | None = None) -> Tensor:
@@ -43,16 +48,22 @@ class Reward(ABC):
         """Restore what `tensors` gave."""
 
 
+def make_reward(name: RewardName, model: WorldModel, n_streams: int) -> Reward:
+    """The reward `name` of `config.REWARDS`, computed from `model` for `n_streams` streams."""
+    module, kind = REWARDS[name].split(".")
+    return getattr(import_module(f"gym_open.agents.{module}"), kind)(model, n_streams)
+
+
 class OwnError(Reward):
     """The world model's own error (Pathak et al. 2017, Burda et al. 2018): go where it is wrong."""
 
-    def __init__(self, model: WorldModel) -> None:
-        self._model = model
+    def __init__(self, model: WorldModel, n_streams: int = 1) -> None:
+        super().__init__(model, n_streams)
         self.parts = model.error_parts
 
     def __call__(self, images: Tensor, actions: Tensor, features: Tensor | None = None) -> Tensor:  # noqa: ARG002
         """The model's errors, summand by summand."""
-        errors = self._model.errors(Transitions(images[:-1].flatten(0, 1), actions.flatten(), images[1:].flatten(0, 1)))
+        errors = self.model.errors(Transitions(images[:-1].flatten(0, 1), actions.flatten(), images[1:].flatten(0, 1)))
         return torch.stack([errors[name].view(actions.shape) for name in self.parts], dim=-1)
 
 
@@ -71,9 +82,6 @@ class Ride(Reward):
 
     parts = ("impact",)
 
-    def __init__(self, model: WorldModel) -> None:
-        self._model = model
-
     def __call__(
         self,
         images: Tensor,
@@ -82,7 +90,7 @@ class Ride(Reward):
     ) -> Tensor:
         """`‖latent(s′) − latent(s)‖₂` of each step."""
         known = None if features is None else features.flatten(0, 1)
-        latent = self._model.latent(images.flatten(0, 1), known).view(*images.shape[:2], -1)
+        latent = self.model.latent(images.flatten(0, 1), known).view(*images.shape[:2], -1)
         return (latent[1:] - latent[:-1]).norm(dim=-1)[..., None]
 
 
@@ -94,8 +102,8 @@ class CountedRide(Ride):
     what is counted is a picture's cell (`cells`).
     """
 
-    def __init__(self, model: WorldModel, n_streams: int) -> None:
-        super().__init__(model)
+    def __init__(self, model: WorldModel, n_streams: int = 1) -> None:
+        super().__init__(model, n_streams)
         self._seen: list[Counter[int]] = [Counter() for _ in range(n_streams)]
 
     def __call__(self, images: Tensor, actions: Tensor, features: Tensor | None = None) -> Tensor:

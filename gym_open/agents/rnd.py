@@ -22,8 +22,7 @@ from torch import Tensor, nn
 
 from gym_open.agents.augment import no_shifts, shift_each
 from gym_open.agents.config import RndConfig
-from gym_open.agents.encoder import IMAGE_SHAPE, Encoder, convolutions
-from gym_open.agents.layers import init_layer
+from gym_open.agents.encoder import IMAGE_SHAPE, Encoder, convolutions, init_layer
 from gym_open.agents.threads import through
 from gym_open.agents.world_model import Transitions, WorldModel
 
@@ -41,8 +40,8 @@ class Rnd(WorldModel):
     _sums: Tensor
     _squares: Tensor
 
-    def __init__(self, encoder: Encoder, config: RndConfig, generator: torch.Generator) -> None:
-        super().__init__(encoder, config.loss_scale)
+    def __init__(self, encoder: Encoder, config: RndConfig, n_actions: int, generator: torch.Generator) -> None:
+        super().__init__(encoder, config, n_actions)
         self.config = config
         self.target = convolutions(config.outputs, lambda: nn.LeakyReLU(0.2), generator)
         self.target.requires_grad_(requires_grad=False)

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from gym_open.agents.augment import no_shifts
+from gym_open.agents.config import WorldModelConfig
 from gym_open.agents.encoder import Encoder
 
 
@@ -36,10 +37,11 @@ class WorldModel(nn.Module, ABC):
     error_parts: tuple[str, ...]
     figures: tuple[str, ...] = ()
 
-    def __init__(self, encoder: Encoder, loss_scale: float) -> None:
+    def __init__(self, encoder: Encoder, config: WorldModelConfig, n_actions: int) -> None:
         super().__init__()
         self.encoder = encoder
-        self.loss_scale = loss_scale
+        self.loss_scale = config.loss_scale
+        self.n_actions = n_actions
 
     @abstractmethod
     def measure(

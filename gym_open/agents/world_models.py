@@ -1,40 +1,27 @@
-"""Every world model by its name; exploration and off-line training make theirs here."""
+"""Every world model by its name. Exploration and off-line training create theirs here."""
 
-from collections.abc import Callable
-from typing import Protocol
+from importlib import import_module
 
 import torch
 
-from gym_open.agents.config import CurlConfig, IcmConfig, RndConfig, WorldModelName
-from gym_open.agents.curl import Curl
+from gym_open.agents.config import WorldModelName, WorldModelSections
 from gym_open.agents.encoder import Encoder
-from gym_open.agents.icm import Icm
-from gym_open.agents.rnd import Rnd
 from gym_open.agents.world_model import WorldModel
 
-
-class WorldModelConfigs(Protocol):
-    """A configuration with a part for each world model."""
-
-    @property
-    def icm(self) -> IcmConfig:
-        """Looked at by `icm` alone."""
-        ...
-
-    @property
-    def rnd(self) -> RndConfig:
-        """Looked at by `rnd` alone."""
-        ...
-
-    @property
-    def curl(self) -> CurlConfig:
-        """Looked at by `curl` alone."""
-        ...
+WORLD_MODELS: tuple[WorldModelName, ...] = WorldModelSections.__struct_fields__
 
 
-WORLD_MODELS: dict[WorldModelName, Callable[[WorldModelConfigs, Encoder, int, torch.Generator], WorldModel]] = {
-    "icm": lambda config, encoder, n_actions, init: Icm(encoder, config.icm, n_actions, init),
-    "rnd": lambda config, encoder, _, init: Rnd(encoder, config.rnd, init),
-    "curl": lambda config, encoder, _, init: Curl(encoder, config.curl, init),
-}
-"""Made of a configuration, on an encoder, for a number of actions, with weights from a generator."""
+def make_world_model(
+    name: WorldModelName, config: WorldModelSections, encoder: Encoder, n_actions: int, generator: torch.Generator
+) -> WorldModel:
+    """Create an untrained world model: for the name `ae`, the class `Ae` in `gym_open/agents/ae.py`.
+
+    Args:
+        name: one of `WORLD_MODELS`.
+        config: holds the section of that name.
+        encoder: from images to features; the world model trains it.
+        n_actions: number of actions.
+        generator: source of the weights.
+    """
+    kind = getattr(import_module(f"gym_open.agents.{name}"), name.capitalize())
+    return kind(encoder, config.section(name), n_actions, generator)

@@ -11,8 +11,7 @@ from torch import Tensor
 from gym_open.agents.explorer import Explorer
 from gym_open.collect.pool import Pool
 from gym_open.collect.stream import Place, Stream
-from gym_open.collect.summary import Record
-from gym_open.collect.tally import Tally
+from gym_open.collect.summary import Record, WorldCounts
 from gym_open.errors import ArtefactError
 from gym_open.formats.checkpoints import (
     load_checkpoint,
@@ -30,7 +29,7 @@ _META = "meta"
 class _Meta(msgspec.Struct):
     record: Record
     places: list[Place]
-    tallies: list[Tally]
+    tallies: list[WorldCounts]
     messages: list[int]
     """Messages in each stream's log when the checkpoint was taken."""
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from gym_open import seeding
 from gym_open.agents.explorer import Explorer
 from gym_open.agents.world_model import Transitions
-from gym_open.collect.tally import Tally
+from gym_open.collect.summary import WorldCounts
 from gym_open.envs.constants import IMAGE_SIZE
 from gym_open.envs.puzzles import Puzzle
 from gym_open.envs.puzzles.generators import SandboxConfig, sample_puzzle
@@ -45,7 +45,7 @@ class Pool:
     def __init__(self, puzzles: tuple[Puzzle, ...], probe: int, seed: int) -> None:
         self.puzzles = puzzles
         self.left: dict[int, np.ndarray] = {}
-        self.tallies = [Tally() for _ in puzzles]
+        self.tallies = [WorldCounts() for _ in puzzles]
         self._probe = probe
         self._seed = seed
         self._seen: list[dict[bytes, tuple[np.ndarray, int, np.ndarray]]] = [{} for _ in puzzles]

@@ -1,23 +1,81 @@
 """What happened during a run, for `summary.json`."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import msgspec
 import numpy as np
 
 from gym_open.collect.config import CollectConfig
-from gym_open.collect.tally import STUCK, TOUCHED, Tally
-from gym_open.envs.constants import COLUMNS, ROWS
+from gym_open.envs.constants import CELL_0, COLUMNS, PITCH, ROWS
+from gym_open.envs.physics.contacts import Contact
 from gym_open.envs.puzzles import Puzzle
-from gym_open.formats.logs.schemas import Ended
+from gym_open.formats.logs.schemas import Ended, Stuck
 
 CURVE = ["step", "world_model_loss", "world_loss", "intrinsic_reward", "policy_entropy"]
 """Columns of the curve, one row a rollout: steps of all streams so far, then the world model's loss in the update and
 the mean loss of the worlds being played in as the curriculum measures it (both scaled), and means over the rollout."""
 STOPS = ("budget", "exhausted")
 """Why a stay ended that no other followed."""
+TOUCHED = ("yellow", "green", "heavy", "light", "push", "rectangle", "cone", "wall", "corner", "pen", "ramp")
+"""What the agent can touch: kinds of objects, then of scenery; kinds that it never touched are counted as 0."""
+STUCK = ("agent", "corner")
+
+
+class StuckCount(msgspec.Struct):
+    """How often something got stuck, and for how many steps at least one thing was."""
+
+    times: int = 0
+    steps: int = 0
+
+
+def _none_touched() -> dict[str, int]:
+    return dict.fromkeys(TOUCHED, 0)
+
+
+def _none_stuck() -> dict[str, StuckCount]:
+    return {kind: StuckCount() for kind in STUCK}
+
+
+class WorldCounts(msgspec.Struct):
+    """Counts of one world, all streams together; plain data, for a checkpoint."""
+
+    visits: int = 0
+    """How often it was entered."""
+    steps: int = 0
+    cells: list[int] = msgspec.field(default_factory=lambda: [0] * (ROWS * COLUMNS))
+    """Steps after which the agent was in each cell of the placement grid, row by row."""
+    touches: dict[str, int] = msgspec.field(default_factory=_none_touched)
+    """Things of each kind that the agent touched, counted anew every step."""
+    stuck: dict[str, StuckCount] = msgspec.field(default_factory=_none_stuck)
+    """By what was stuck: `agent`, or an object in a `corner`."""
+
+    def step(self, agent: tuple[float, float, float], contacts: Iterable[Contact]) -> None:
+        """Count a step after which the agent is at a place (metres), with what touched what in it."""
+        self.steps += 1
+        self.cells[cell_at(agent[0], agent[1])] += 1
+        for contact in contacts:
+            if "agent" in (contact.a, contact.b):
+                other = contact.b if contact.a == "agent" else contact.a
+                self.touches[other.split("_")[0]] += 1
+
+    def stuck_step(self, turns: Iterable[Stuck], *, agent: bool, corner: bool) -> None:
+        """Count what began to be stuck with a step, and whether the agent, or an object in a corner, is so after it."""
+        for turn in turns:
+            self.stuck[turn.kind].times += turn.began
+        self.stuck["agent"].steps += agent
+        self.stuck["corner"].steps += corner
+
+    def cells_seen(self) -> int:
+        """Cells of the table in which the agent was."""
+        return sum(count > 0 for count in self.cells)
+
+
+def cell_at(x: float, y: float) -> int:
+    """Number, row by row, of the placement grid's cell that a place on the table (metres) is in, or is nearest to."""
+    row, column = round((CELL_0[1] - y) / PITCH), round((x - CELL_0[0]) / PITCH)
+    return min(max(row, 0), ROWS - 1) * COLUMNS + min(max(column, 0), COLUMNS - 1)
 
 
 class SegmentRecord(msgspec.Struct):
@@ -58,7 +116,7 @@ class Record(msgspec.Struct):
 
 
 def summarise(
-    config: CollectConfig, record: Record, puzzles: Sequence[Puzzle], tallies: Sequence[Tally]
+    config: CollectConfig, record: Record, puzzles: Sequence[Puzzle], tallies: Sequence[WorldCounts]
 ) -> dict[str, Any]:
     """The summary of a run that has ended, as JSON-ready data; losses that are infinite or no numbers become null.
 

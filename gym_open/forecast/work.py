@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import msgspec
 
-from gym_open.agents.config import Device, EncoderConfig, WorldModelName
+from gym_open.agents.config import Device, EncoderConfig, ImagePasses
 from gym_open.collect.config import CollectConfig
 from gym_open.envs.tasks import step_budget
 from gym_open.evaluate.config import EvaluateConfig
@@ -65,25 +65,6 @@ class Work(msgspec.Struct, frozen=True):
         return _BESIDES + self.steps * step + sum(count * picture(how) for how, count in self.pictures.items())
 
 
-class _Kind(msgspec.Struct, frozen=True):
-    """Passes of one picture through a world model's networks."""
-
-    learned: int
-    """Forward and backward in an update."""
-    looked: int
-    """Only forward in an update: keys, targets."""
-    judged: int
-    """Forward to give the model's own error or its loss."""
-
-
-_KINDS: dict[WorldModelName, _Kind] = {
-    "none": _Kind(0, 0, 0),
-    "curl": _Kind(1, 1, 2),
-    "icm": _Kind(2, 0, 2),
-    "rnd": _Kind(1, 1, 2),
-}
-
-
 def _way(
     network: EncoderConfig, precision: PrecisionSetting, threads: int, batch: int, *, learn: bool = False,
     device: Device = "cpu",
@@ -94,9 +75,10 @@ def _way(
 def collecting(config: CollectConfig) -> Work:
     """Of exploration: playing, rewarding, learning, and the loss of the world that is played in."""
     explorer, ppo, n = config.explorer, config.explorer.ppo, float(config.steps)
-    kind, acts = _KINDS[explorer.world_model], explorer.reward != "none"
+    model, acts = explorer.world_model, explorer.reward != "none"
+    kind = ImagePasses(0, 0, 0) if model == "none" else explorer.section(model).passes
     shared = acts and explorer.share_encoder and kind.learned > 0
-    rewarded = {"none": 0, "error": kind.judged, "ride": 1, "counted-ride": 1}[explorer.reward]
+    rewarded = kind.judged if explorer.reward == "error" else int(acts)
     learned = ppo.update_epochs * (acts + kind.learned - shared)
     judged = kind.judged * config.probe / config.rollout
 
@@ -125,7 +107,7 @@ def drawing(config: CollectConfig) -> Work:
 
 def encoding(config: EncoderTrainConfig, frames: int) -> Work:
     """Of an encoder from a release of so many frames: decoding them once, updates, and what is held out."""
-    kind = _KINDS[config.world_model]
+    kind = config.section(config.world_model).passes
     seen = float(config.updates * config.batch_size)
     held_out = math.ceil(config.updates / config.report_every) * _HELD_OUT_BATCHES * config.batch_size * kind.judged
 

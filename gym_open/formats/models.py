@@ -9,8 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from gym_open.agents.config import EncoderConfig, Width
-from gym_open.agents.encoder import Encoder
-from gym_open.agents.policy import ActorCritic, make_encoder
+from gym_open.agents.encoder import Encoder, make_encoder
+from gym_open.agents.policy import ActorCritic
 from gym_open.artefacts import canonical_json, lineage
 from gym_open.errors import ArtefactError
 from gym_open.files import write_atomically

@@ -4,21 +4,20 @@ from typing import Literal
 
 from gym_open.agents.config import (
     AgentNameOrNone,
-    CurlConfig,
     Device,
     EncoderConfig,
-    IcmConfig,
     PPOConfig,
-    RndConfig,
+    WorldModelName,
+    WorldModelSections,
 )
 from gym_open.config import Config, Count, PositiveFloat, PositiveInt, Seed
 from gym_open.precision import PrecisionSetting
 
 
-class EncoderTrainConfig(Config, frozen=True, kw_only=True):
+class EncoderTrainConfig(WorldModelSections, frozen=True, kw_only=True):
     """A world model from a release, off-line; its encoder is what is kept."""
 
-    world_model: Literal["icm", "rnd", "curl"] = "curl"
+    world_model: WorldModelName = "curl"
     """What the encoder learns by."""
     updates: PositiveInt = 400
     """Gradient steps."""
@@ -32,12 +31,6 @@ class EncoderTrainConfig(Config, frozen=True, kw_only=True):
     """Updates between two rows of the learning curve; a killed run goes on from the last of them."""
     encoder: EncoderConfig = EncoderConfig()
     """The network."""
-    icm: IcmConfig = IcmConfig()
-    """Looked at if `world_model` is `icm`."""
-    rnd: RndConfig = RndConfig()
-    """Looked at if `world_model` is `rnd`."""
-    curl: CurlConfig = CurlConfig()
-    """Looked at if `world_model` is `curl`."""
     precision: PrecisionSetting = "auto"
     """Arithmetic of the network: `auto` is bf16 on a processor or GPU that multiplies it natively, else fp32. Weights
     stay fp32."""

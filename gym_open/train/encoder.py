@@ -13,7 +13,7 @@ from gym_open.agents.augment import draw_shifts
 from gym_open.agents.encoder import Encoder, autocast
 from gym_open.agents.threads import set_threads
 from gym_open.agents.world_model import Transitions
-from gym_open.agents.world_models import WORLD_MODELS
+from gym_open.agents.world_models import make_world_model
 from gym_open.envs.constants import N_ACTIONS
 from gym_open.errors import ArtefactError, DivergedError
 from gym_open.formats.checkpoints import (
@@ -103,7 +103,7 @@ class _Trainer:
         spread = np.linspace(0, len(frames) - 1, min(len(frames), FIRST_IMAGES)).astype(np.int64)
         first = torch.from_numpy(pictures.take(frames[spread]))
         encoder.set_mean_image(first)
-        self.model = WORLD_MODELS[config.world_model](config, encoder, N_ACTIONS, init)
+        self.model = make_world_model(config.world_model, config, encoder, N_ACTIONS, init)
         self.model.watch(first)
         self.model.to(config.device)
         learned = [parameter for parameter in self.model.parameters() if parameter.requires_grad]

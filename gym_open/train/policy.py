@@ -9,10 +9,9 @@ import torch
 from msgspec import structs
 
 from gym_open import artefacts, progress, seeding
-from gym_open.agents.encoder import Encoder, autocast
-from gym_open.agents.policy import ActorCritic, make_encoder
+from gym_open.agents.encoder import Encoder, StateEncoder, autocast, make_encoder
+from gym_open.agents.policy import ActorCritic
 from gym_open.agents.ppo import PPOStats, Rollout, ppo_update
-from gym_open.agents.state import StateEncoder
 from gym_open.agents.threads import set_threads
 from gym_open.config import to_dict
 from gym_open.envs.constants import N_ACTIONS

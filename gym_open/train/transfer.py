@@ -3,8 +3,7 @@
 import torch
 from torch import Tensor, nn
 
-from gym_open.agents.encoder import Encoder
-from gym_open.agents.layers import init_layer
+from gym_open.agents.encoder import Encoder, init_layer
 from gym_open.train.config import Transfer
 
 

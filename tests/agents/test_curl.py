@@ -18,7 +18,7 @@ Pictures = Callable[..., torch.Tensor]
 def curl(seed: int = 0, pad: int = 4) -> Curl:
     generator = torch.Generator().manual_seed(seed)
     encoder = Encoder(EncoderConfig(features=32, pixel_scale=2.0), generator)
-    return Curl(encoder, CurlConfig(latent=8, pad=pad, tau=0.05), generator)
+    return Curl(encoder, CurlConfig(latent=8, pad=pad, tau=0.05), 9, generator)
 
 
 def steps(images: torch.Tensor) -> Transitions:

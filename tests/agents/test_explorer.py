@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from gym_open.agents.config import (
+    REWARDS,
     CurlConfig,
     EncoderConfig,
     ExplorerConfig,
@@ -19,9 +20,9 @@ from gym_open.agents.config import (
     RndConfig,
     WorldModelName,
 )  # fmt: skip
-from gym_open.agents.encoder import Encoder
-from gym_open.agents.explorer import REWARDS, Acted, Explorer, Learned
-from gym_open.agents.state import StateEncoder
+from gym_open.agents.encoder import Encoder, StateEncoder
+from gym_open.agents.explorer import Acted, Explorer, Learned
+from gym_open.agents.rewards import make_reward
 from gym_open.agents.world_model import Transitions
 from gym_open.agents.world_models import WORLD_MODELS
 
@@ -81,7 +82,7 @@ def test_reward_and_parts_are_what_the_model_made_of_the_steps_before_it_learned
         assert one.reward_parts == ()
         assert not learned.reward.any()
         return
-    made = REWARDS[reward](twin.model, 2)
+    made = make_reward(reward, twin.model, 2)
     assert one.reward_parts == made.parts
     actions = torch.stack([now.actions for now in acted[:-1]])
     torch.testing.assert_close(learned.parts, made(seen, actions), rtol=1e-4, atol=1e-6)

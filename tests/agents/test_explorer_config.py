@@ -4,8 +4,7 @@ from typing import cast, get_args
 
 import pytest
 
-from gym_open.agents.config import ExplorerConfig, RewardName, WorldModelName
-from gym_open.agents.explorer import REWARDS
+from gym_open.agents.config import REWARDS, ExplorerConfig, ExplorerModelName, RewardName, WorldModelName
 from gym_open.agents.world_models import WORLD_MODELS
 from gym_open.config import decode
 from gym_open.errors import ConfigError
@@ -32,7 +31,7 @@ def test_a_new_reward_has_a_name_too() -> None:
 
 
 def test_the_tables_hold_what_can_be_asked_for() -> None:
-    assert {*WORLD_MODELS, "none"} == set(get_args(WorldModelName))
+    assert {*WORLD_MODELS, "none"} == set(get_args(ExplorerModelName))
     assert {*REWARDS, "none"} == set(get_args(RewardName))
 
 

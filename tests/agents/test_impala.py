@@ -10,11 +10,10 @@ from torch import Tensor
 
 from gym_open.agents.augment import no_shifts
 from gym_open.agents.config import CurlConfig, EncoderConfig, ExplorerConfig, IcmConfig, RndConfig, WorldModelName
-from gym_open.agents.encoder import Encoder
-from gym_open.agents.impala import impala
+from gym_open.agents.encoder import Encoder, impala
 from gym_open.agents.policy import ActorCritic
 from gym_open.agents.world_model import Transitions
-from gym_open.agents.world_models import WORLD_MODELS
+from gym_open.agents.world_models import WORLD_MODELS, make_world_model
 from gym_open.formats.models import load_encoder, load_policy, save_encoder, save_policy
 
 DEEP = EncoderConfig(architecture="impala", features=32)
@@ -59,7 +58,7 @@ def test_its_features_are_about_as_large_as_those_of_the_shallow_network(picture
 def test_every_world_model_teaches_all_of_it(name: WorldModelName, pictures: Callable[..., Tensor]) -> None:
     init = torch.Generator().manual_seed(0)
     config = ExplorerConfig(icm=IcmConfig(hidden=8), rnd=RndConfig(hidden=8, outputs=8), curl=CurlConfig(latent=8))
-    model = WORLD_MODELS[name](config, Encoder(DEEP, init), 9, init)
+    model = make_world_model(name, config, Encoder(DEEP, init), 9, init)
     model.watch(pictures(4))
     play = Transitions(pictures(4), torch.arange(4), pictures(4, 1))
     model.loss(play, no_shifts(4), init).backward()

@@ -11,7 +11,7 @@ from gym_open.agents.config import EncoderConfig, ExplorerConfig, WorldModelName
 from gym_open.agents.encoder import Encoder, autocast
 from gym_open.agents.icm import Icm
 from gym_open.agents.world_model import Transitions, WorldModel
-from gym_open.agents.world_models import WORLD_MODELS
+from gym_open.agents.world_models import make_world_model
 from gym_open.precision import native_precision
 
 pytestmark = pytest.mark.learning
@@ -29,7 +29,7 @@ def learned(
     init, draws = torch.Generator().manual_seed(0), torch.Generator().manual_seed(1)
     encoder = Encoder(EncoderConfig(features=128), init)
     encoder.set_mean_image(train.obs)
-    model = WORLD_MODELS[name](ExplorerConfig(), encoder, 9, init)
+    model = make_world_model(name, ExplorerConfig(), encoder, 9, init)
     model.watch(train.obs)
 
     def loss() -> float:

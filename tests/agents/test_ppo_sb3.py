@@ -30,9 +30,9 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from gym_open import seeding
 from gym_open.agents.config import EncoderConfig, PPOConfig
+from gym_open.agents.encoder import StateEncoder
 from gym_open.agents.policy import ActorCritic
 from gym_open.agents.ppo import Rollout, gae, ppo_update
-from gym_open.agents.state import StateEncoder
 from gym_open.envs.constants import N_ACTIONS
 from gym_open.envs.env import OpenEnv
 from gym_open.envs.state import STATE_SIZE, state_vector

@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from gym_open.agents.config import EncoderConfig
+from gym_open.agents.config import EncoderConfig, WorldModelConfig
 from gym_open.agents.encoder import Encoder
 from gym_open.agents.rewards import CountedRide, OwnError, RewardScale, Ride, cells
 from gym_open.agents.world_model import Transitions, WorldModel
@@ -19,7 +19,7 @@ class Known(WorldModel):
     error_parts = ("action", "change")
 
     def __init__(self) -> None:
-        super().__init__(Encoder(EncoderConfig(features=2), torch.Generator()), loss_scale=1.0)
+        super().__init__(Encoder(EncoderConfig(features=2), torch.Generator()), WorldModelConfig(), 9)
 
     def measure(
         self,

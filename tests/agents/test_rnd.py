@@ -17,7 +17,7 @@ Pictures = Callable[..., torch.Tensor]
 def rnd(clip: float = 5.0) -> Rnd:
     generator = torch.Generator().manual_seed(0)
     encoder = Encoder(EncoderConfig(features=32, pixel_scale=2.0), generator)
-    return Rnd(encoder, RndConfig(hidden=16, outputs=24, clip=clip), generator)
+    return Rnd(encoder, RndConfig(hidden=16, outputs=24, clip=clip), 9, generator)
 
 
 def steps(pictures: Pictures) -> Transitions:

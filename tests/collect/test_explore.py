@@ -13,7 +13,7 @@ import pytest
 from gym_open import artefacts
 from gym_open.collect.config import CollectConfig
 from gym_open.collect.explore import collect
-from gym_open.collect.tally import STUCK
+from gym_open.collect.summary import STUCK
 from gym_open.config import to_dict
 from gym_open.envs import stuck
 from gym_open.envs.constants import CELL_0, COLUMNS, PITCH, ROWS

@@ -15,8 +15,7 @@ from gym_open.collect.config import CollectConfig, CurriculumConfig
 from gym_open.collect.figure import draw_summary
 from gym_open.collect.pool import sample_pool
 from gym_open.collect.report import MOST_STAYS, summary_table
-from gym_open.collect.summary import Record, SegmentRecord, summarise
-from gym_open.collect.tally import StuckCount, Tally
+from gym_open.collect.summary import Record, SegmentRecord, StuckCount, WorldCounts, summarise
 from gym_open.envs.puzzles.generators import SandboxConfig
 from gym_open.errors import ArtefactError
 
@@ -35,7 +34,12 @@ def summed_up(config: CollectConfig, losses: list[float], stays: int = 1) -> dic
     ]
     curve = [(50, 2 * losses[0], losses[0], 0.1, 2.0), (100, losses[0], losses[2], 0.1, 2.0)]
     record = Record(2, 100, 1, [], segments, curve, losses, "budget")
-    tallies = [Tally(visits=1, steps=30), Tally(visits=1, steps=20), Tally(visits=1, steps=50), Tally()]
+    tallies = [
+        WorldCounts(visits=1, steps=30),
+        WorldCounts(visits=1, steps=20),
+        WorldCounts(visits=1, steps=50),
+        WorldCounts(),
+    ]
     for cell, tally in ((0, 0), (0, 1), (7, 1), (143, 2)):
         tallies[tally].cells[cell] = 10 + cell
     tallies[0].touches["heavy"], tallies[2].touches["heavy"], tallies[2].touches["wall"] = 3, 4, 5

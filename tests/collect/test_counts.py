@@ -2,7 +2,7 @@
 
 import pytest
 
-from gym_open.collect.tally import Tally, cell_at
+from gym_open.collect.summary import WorldCounts, cell_at
 from gym_open.envs.constants import COLUMNS, PITCH, ROWS, WALL_X, WALL_Y, cell_centre
 from gym_open.envs.physics.contacts import Contact
 from gym_open.formats.logs import Stuck
@@ -28,7 +28,7 @@ def test_what_is_beyond_the_grid_is_in_its_nearest_cell(x: float, y: float, cell
 
 
 def test_steps_places_and_touches_of_the_agent_are_counted() -> None:
-    tally = Tally()
+    tally = WorldCounts()
     tally.step((*cell_centre(0, 1), 0.05), [contact("agent", "heavy_11"), contact("heavy_11", "agent")])
     tally.step((*cell_centre(0, 1), 0.05), [contact("corner_north_east", "agent"), contact("light_0", "heavy_0")])
     tally.step((*cell_centre(2, 0), 0.05), [contact("agent", "ramp_slope"), contact("agent", "wall_east")])
@@ -40,7 +40,7 @@ def test_steps_places_and_touches_of_the_agent_are_counted() -> None:
 
 
 def test_stuck_things_are_counted_by_beginnings_and_steps() -> None:
-    tally = Tally()
+    tally = WorldCounts()
     began, ceased = (Stuck(5, 0, "corner", "light_0", began, (0, 0, 0)) for began in (True, False))
     tally.stuck_step([began, began], agent=False, corner=True)
     tally.stuck_step([], agent=True, corner=True)
