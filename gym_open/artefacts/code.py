@@ -48,7 +48,8 @@ def code_version(kind: str, root: Path = Path(__file__).parent.parent) -> str:
 def source_files(kind: str, root: Path) -> list[Path]:
     """Files that the modules of a kind can import, directly or through others, with the data files next to them.
 
-    Imports inside functions count; imports for type checkers alone do not.
+    Imports inside functions count; imports for type checkers alone do not. Where `import_module` gets a name that is
+    only complete at run time, all modules of the package that it names count.
     """
     if kind not in ENTRIES:
         modules = set(root.rglob("*.py"))
@@ -66,6 +67,8 @@ def _files_of(name: str, root: Path) -> set[Path]:
     """The file of a module and those of the packages that it is in; of a name within a module, the module's."""
     files, place = {root / "__init__.py"}, root
     for part in name.split(".")[1:]:
+        if part == "*":
+            return files | set(place.glob("*.py"))
         place = place / part
         files |= {path for path in (place / "__init__.py", place.with_suffix(".py")) if path.is_file()}
     return files
@@ -78,12 +81,24 @@ def _imports(source: bytes, *, top_level: bool) -> list[str]:
     `top_level` leaves out imports inside functions: those of the package's own `__init__` serve its users, not stages.
     """
     found: list[str] = []
-    for node in _statements(ast.parse(source), top_level):
+    tree = ast.parse(source)
+    found += [] if top_level else filter(None, map(_imported_by_name, ast.walk(tree)))
+    for node in _statements(tree, top_level):
         if isinstance(node, ast.Import):
             found += [item.name for item in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module:
             found += [f"{node.module}.{item.name}" for item in node.names]
     return [name for name in found if name.split(".")[0] == _PACKAGE]
+
+
+def _imported_by_name(node: ast.AST) -> str | None:
+    """The module that a call of `import_module` names, with `*` for the part of an f-string that is not constant."""
+    match node:
+        case ast.Call(func=ast.Name("import_module"), args=[ast.Constant(str(name))]):
+            return name
+        case ast.Call(func=ast.Name("import_module"), args=[ast.JoinedStr([ast.Constant(str(package)), *_])]):
+            return f"{package}*"
+    return None
 
 
 def _statements(node: ast.AST, top_level: bool) -> Iterator[ast.AST]:

@@ -48,6 +48,10 @@ def test_an_edit_in_agents_leaves_no_encoder_up_to_date(package: Path) -> None:
     assert {"log", "encoder", "policy"} <= changed(package, "agents/encoder.py")
 
 
+def test_an_edit_of_a_world_model_which_is_imported_by_its_name_counts(package: Path) -> None:
+    assert {"log", "encoder"} <= changed(package, "agents/icm.py")
+
+
 def test_a_changed_evaluation_puzzle_leaves_no_scores_up_to_date(package: Path) -> None:
     assert "scores" in changed(package, "envs/puzzles/data/avoidance-test.jsonl")
 
