@@ -23,7 +23,7 @@ from rich.table import Table
 
 from gym_open.agents.augment import draw_shifts
 from gym_open.agents.encoder import IMAGE_SHAPE, Encoder, autocast
-from gym_open.agents.world_model import Transitions
+from gym_open.agents.world_model import TransitionBatch
 from gym_open.agents.world_models import make_world_model
 from gym_open.collect.config import CollectConfig
 from gym_open.collect.explore import Exploration
@@ -55,7 +55,7 @@ def encoder_training(name: Learned, precision: Precision) -> tuple[Work, int, fl
         for _ in range(STEPS):
             drawn = draw_shifts(size, config.shift_pad, generator)
             with autocast(precision):
-                loss, _ = model.measure(Transitions(obs, actions, after), drawn, generator)
+                loss, _ = model.measure(TransitionBatch(obs, actions, after), drawn, generator)
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()

@@ -38,7 +38,7 @@ from gym_open.viz.config import VizConfig
 C = TypeVar("C", bound=Config)
 
 
-class Plan(msgspec.Struct, frozen=True, kw_only=True):
+class PipelineConfigs(msgspec.Struct, frozen=True, kw_only=True):
     """The configurations of one run, all read and checked before anything starts."""
 
     collect: CollectConfig
@@ -50,7 +50,7 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
     viz: VizConfig
 
 
-def read_plan(root: Path, seed: int) -> Plan:
+def read_plan(root: Path, seed: int) -> PipelineConfigs:
     """Read the seven configurations that a run uses, with `seed` in each.
 
     Raises:
@@ -63,7 +63,7 @@ def read_plan(root: Path, seed: int) -> Plan:
             config = check(msgspec.structs.replace(config, seed=seed), source="--seed")
         return config
 
-    return Plan(
+    return PipelineConfigs(
         collect=read("collect/curl-ride.toml", CollectConfig),
         release=read("datasets/explore.toml", ReleaseConfig),
         encoder=read("train/encoder-curl.toml", EncoderTrainConfig),
@@ -75,16 +75,16 @@ def read_plan(root: Path, seed: int) -> Plan:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Stage(outlook.Stage):
+class PipelineStage(outlook.PlannedStage):
     """A stage of the run."""
 
     make: Callable[[], Outcome]
     """Makes its artefact, or finds it up to date."""
 
 
-def stages(plan: Plan, root: Path, seed: int) -> list[Stage]:
+def stages(plan: PipelineConfigs, root: Path, seed: int) -> list[PipelineStage]:
     """The stages of a run in their order; what they are made of is known from their folders."""
-    log = Stage(
+    log = PipelineStage(
         name="collect",
         folder=(logs := root / f"collect/logs/curl-ride-seed{seed}"),
         config=plan.collect,
@@ -92,7 +92,7 @@ def stages(plan: Plan, root: Path, seed: int) -> list[Stage]:
         make=lambda: _collect(plan.collect, logs),
     )
     named = msgspec.structs.replace(plan.release, name=f"{plan.release.name}-seed{seed}")
-    release = Stage(
+    release = PipelineStage(
         name="dataset build",
         folder=(built := root / "datasets" / named.name / named.version),
         config=named,
@@ -100,7 +100,7 @@ def stages(plan: Plan, root: Path, seed: int) -> list[Stage]:
         work=work.releasing(plan.collect),
         make=lambda: _build(named, logs, built),
     )
-    encoder = Stage(
+    encoder = PipelineStage(
         name="train encoder",
         folder=(learned := root / f"train/encoders/curl-seed{seed}"),
         config=plan.encoder,
@@ -108,7 +108,7 @@ def stages(plan: Plan, root: Path, seed: int) -> list[Stage]:
         work=work.encoding(plan.encoder, plan.collect.steps),
         make=lambda: _train_encoder(plan.encoder, built, learned),
     )
-    probe = Stage(
+    probe = PipelineStage(
         name="train probe",
         folder=(probed := root / f"train/probes/curl-seed{seed}"),
         config=plan.probe,
@@ -119,7 +119,7 @@ def stages(plan: Plan, root: Path, seed: int) -> list[Stage]:
     policies = [_policy(plan, root, seed, start) for start in (encoder, None)]
     scores = [_scores(plan, root, seed, policy) for policy in (*policies, None)]
     shown = [log, *policies, *scores]
-    recording = Stage(
+    recording = PipelineStage(
         name="viz recording",
         folder=(recorded := root / f"viz/recordings/run-seed{seed}"),
         config=plan.viz,
@@ -127,7 +127,7 @@ def stages(plan: Plan, root: Path, seed: int) -> list[Stage]:
         work=work.drawing(plan.collect),
         make=lambda: _record(plan.viz, logs, recorded),
     )
-    figure = Stage(
+    figure = PipelineStage(
         name="viz figure",
         folder=(drawn := root / f"viz/figures/run-seed{seed}"),
         config=plan.viz,
@@ -138,10 +138,10 @@ def stages(plan: Plan, root: Path, seed: int) -> list[Stage]:
     return [log, release, encoder, probe, *policies, *scores, recording, figure]
 
 
-def _policy(plan: Plan, root: Path, seed: int, encoder: Stage | None) -> Stage:
+def _policy(plan: PipelineConfigs, root: Path, seed: int, encoder: PipelineStage | None) -> PipelineStage:
     start = encoder.folder if encoder else None
     folder = root / f"train/policies/{plan.policy.task}-{'curl' if encoder else 'scratch'}-seed{seed}"
-    return Stage(
+    return PipelineStage(
         name=f"train policy {'from encoder' if encoder else 'from scratch'}",
         folder=folder,
         config=plan.policy,
@@ -151,11 +151,11 @@ def _policy(plan: Plan, root: Path, seed: int, encoder: Stage | None) -> Stage:
     )
 
 
-def _scores(plan: Plan, root: Path, seed: int, policy: Stage | None) -> Stage:
+def _scores(plan: PipelineConfigs, root: Path, seed: int, policy: PipelineStage | None) -> PipelineStage:
     played = policy.folder if policy else None
     folder = root / "evaluate/scores" / (played.name if played else f"{plan.policy.task}-random-seed{seed}")
     config = plan.evaluate if policy else msgspec.structs.replace(plan.evaluate, actions="sampled")
-    return Stage(
+    return PipelineStage(
         name=f"evaluate {policy.name.replace('train policy', 'PPO') if policy else 'random'}",
         folder=folder,
         config=config,
@@ -233,7 +233,7 @@ class Journal:
     rows: list[tuple[str, str, str, str]] = field(default_factory=list)
     made: int = 0
 
-    def stage(self, stage: Stage) -> None:
+    def stage(self, stage: PipelineStage) -> None:
         """Run one stage, or find it up to date."""
         console = self.voice.console
         if not (console.is_terminal and progress.on_terminal()):  # there, its bar says that it has begun
@@ -284,7 +284,7 @@ def run(root: Path, seed: int, voice: Voice) -> None:
         voice.say(f"  next: {line}")
 
 
-def _begin(plan: Plan, root: Path, row: Sequence[Stage], voice: Voice) -> str:
+def _begin(plan: PipelineConfigs, root: Path, row: Sequence[PipelineStage], voice: Voice) -> str:
     """Say what was found and what is expected; give the expectation for the end, if there is one."""
     if voice.quiet:  # nobody reads it
         return ""

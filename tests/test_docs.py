@@ -57,7 +57,7 @@ def test_the_readmes_environment_example_runs() -> None:
 
 
 def test_the_explorer_that_the_docs_add_is_one(tmp_path: Path) -> None:
-    [text] = re.findall(r"```toml\n(.*?)```", (ROOT / "docs/explorers.md").read_text(), re.S)
+    text, *_ = re.findall(r"```toml\n(.*?)```", (ROOT / "docs/explorers.md").read_text(), re.S)
     (tmp_path / "curl.toml").write_text(text)
     assert load(tmp_path / "curl.toml", CollectConfig).explorer.name == "curl"
 

@@ -19,7 +19,7 @@ from gym_open.agents.augment import draw_shifts, no_shifts
 from gym_open.agents.config import CurlConfig
 from gym_open.agents.encoder import Encoder, autocast, init_layer
 from gym_open.agents.threads import through
-from gym_open.agents.world_model import Transitions, WorldModel
+from gym_open.agents.world_model import TransitionBatch, WorldModel
 
 
 class Curl(WorldModel):
@@ -43,7 +43,7 @@ class Curl(WorldModel):
         self.register_buffer("_steps", torch.zeros((), dtype=torch.int64))
 
     def measure(
-        self, transitions: Transitions, shifts: Tensor, generator: torch.Generator, features: Tensor | None = None
+        self, transitions: TransitionBatch, shifts: Tensor, generator: torch.Generator, features: Tensor | None = None
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """InfoNCE of B observations between the given shifts of them and another, random one.
 
@@ -57,12 +57,12 @@ class Curl(WorldModel):
         return F.cross_entropy(logits, own), {"accuracy": (logits.argmax(dim=1) == own).float().mean()}
 
     @torch.no_grad()
-    def world_loss(self, transitions: Transitions, generator: torch.Generator) -> float:
+    def world_loss(self, transitions: TransitionBatch, generator: torch.Generator) -> float:
         """`loss` between two random shifts."""
         return float(self.loss(transitions, self._draw(transitions.obs, generator), generator))
 
     @torch.no_grad()
-    def errors(self, transitions: Transitions) -> dict[str, Tensor]:
+    def errors(self, transitions: TransitionBatch) -> dict[str, Tensor]:
         """`error`: InfoNCE of the picture that each step led to, among those of all B steps, unshifted."""
         images = transitions.next_obs
         logits = self._logits(self.latent(images), self._keys(images, no_shifts(len(images))))

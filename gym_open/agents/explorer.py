@@ -25,7 +25,7 @@ from gym_open.agents.encoder import Encoder, autocast
 from gym_open.agents.policy import ActorCritic
 from gym_open.agents.ppo import Rollout, gae, policy_loss, value_loss
 from gym_open.agents.rewards import Reward, RewardScale, make_reward
-from gym_open.agents.world_model import Transitions, WorldModel
+from gym_open.agents.world_model import TransitionBatch, WorldModel
 from gym_open.agents.world_models import make_world_model
 from gym_open.errors import DivergedError
 
@@ -56,7 +56,7 @@ class UpdateStats:
 
 
 @dataclass(frozen=True)
-class Learned:
+class LearnedRollout:
     """What became of a rollout of T steps in N streams, of P summands of reward.
 
     Attributes:
@@ -143,7 +143,7 @@ class Explorer:
         entropy = -(probs * logprobs).sum(dim=1)
         return Acted(actions.flatten(), logprobs.gather(1, actions).flatten(), entropy, values, features)
 
-    def learn(self, images: Tensor, acted: Sequence[Acted]) -> Learned:
+    def learn(self, images: Tensor, acted: Sequence[Acted]) -> LearnedRollout:
         """Reward the steps of a rollout of N streams, and learn from them.
 
         The last step bootstraps from the value of what it led to, also where the curriculum then leaves the world: a
@@ -159,7 +159,7 @@ class Explorer:
         actions = torch.stack([one.actions for one in acted[:-1]])
         if self.model is None:
             nothing = UpdateStats(*[math.nan] * 5)
-            return Learned(torch.zeros(actions.shape), torch.zeros(*actions.shape, 0), nothing)
+            return LearnedRollout(torch.zeros(actions.shape), torch.zeros(*actions.shape, 0), nothing)
         self.model.watch(images[1:].flatten(0, 1))
         parts = torch.zeros(*actions.shape, 0)
         if self._reward is not None:
@@ -167,7 +167,7 @@ class Explorer:
                 parts = self._reward(images, actions, self._known(acted))
         reward = parts.sum(dim=-1)
         stats = self._update(self._batch(images, actions, acted, reward))
-        return Learned(reward, parts, stats)
+        return LearnedRollout(reward, parts, stats)
 
     def _known(self, acted: Sequence[Acted]) -> Tensor | None:
         """What the model's encoder made of all pictures, (T + 1, N, features), if it was the policy's as it acted."""
@@ -175,7 +175,7 @@ class Explorer:
         shared = self.policy is not None and self.model is not None and self.policy.encoder is self.model.encoder
         return torch.stack(known) if shared and len(known) == len(acted) else None
 
-    def world_loss(self, transitions: Transitions, generator: torch.Generator) -> float:
+    def world_loss(self, transitions: TransitionBatch, generator: torch.Generator) -> float:
         """The world model's loss on B steps of one world, times its `loss_scale`; not a number without a model.
 
         Raises:
@@ -187,7 +187,7 @@ class Explorer:
             loss = torch.tensor(self.model.world_loss(transitions, generator), dtype=torch.float64)
         return self.model.loss_scale * float(_finite(loss, "the world model's loss is not finite"))
 
-    def _batch(self, images: Tensor, actions: Tensor, acted: Sequence[Acted], reward: Tensor) -> "_Batch":
+    def _batch(self, images: Tensor, actions: Tensor, acted: Sequence[Acted], reward: Tensor) -> "_RolloutBatch":
         """All steps of a rollout, with the advantages of the scaled reward."""
         ppo = self.config.ppo
         values = torch.stack([one.values for one in acted])
@@ -196,13 +196,13 @@ class Explorer:
         never = torch.zeros(actions.shape, dtype=torch.bool)
         rollout = Rollout(images[:-1], actions, logprobs, rewards, values[:-1], values[1:], never, never)
         advantages = gae(rollout, ppo.gamma, ppo.gae_lambda)
-        return _Batch(
+        return _RolloutBatch(
             obs=images[:-1].flatten(0, 1), actions=actions.flatten(), next_obs=images[1:].flatten(0, 1),
             logprobs=logprobs.flatten(), values=values[:-1].flatten(), advantages=advantages.flatten(),
             returns=(advantages + values[:-1]).flatten(),
         )  # fmt: skip
 
-    def _update(self, batch: "_Batch") -> UpdateStats:
+    def _update(self, batch: "_RolloutBatch") -> UpdateStats:
         ppo = self.config.ppo
         sums, count, figures = torch.zeros(5), 0, torch.zeros(5)
         for _ in range(ppo.update_epochs):
@@ -214,7 +214,7 @@ class Explorer:
                 break
         return UpdateStats(*(sums / count).tolist())
 
-    def _minibatch(self, batch: "_Batch") -> Tensor:
+    def _minibatch(self, batch: "_RolloutBatch") -> Tensor:
         """One gradient step; returns the figures of `UpdateStats` in their order, (5,)."""
         assert self.model is not None
         assert self.optimizer is not None
@@ -241,7 +241,7 @@ class Explorer:
         self.model.stepped()
         return torch.cat([model_loss[None], figures]).detach()
 
-    def _policy_figures(self, batch: "_Batch", logits: Tensor, values: Tensor) -> Tensor:
+    def _policy_figures(self, batch: "_RolloutBatch", logits: Tensor, values: Tensor) -> Tensor:
         """Policy loss, value loss, mean entropy, and KL divergence from the policy that played, (4,)."""
         ppo = self.config.ppo
         logprobs = F.log_softmax(logits, dim=1)
@@ -280,7 +280,7 @@ class Explorer:
 
 
 @dataclass(frozen=True)
-class _Batch:
+class _RolloutBatch:
     """B steps: pictures (B, 84, 84, 3) uint8, everything else (B,)."""
 
     obs: Tensor
@@ -292,11 +292,11 @@ class _Batch:
     returns: Tensor
 
     @property
-    def transitions(self) -> Transitions:
-        return Transitions(self.obs, self.actions, self.next_obs)
+    def transitions(self) -> TransitionBatch:
+        return TransitionBatch(self.obs, self.actions, self.next_obs)
 
-    def take(self, chosen: Tensor) -> "_Batch":
-        return _Batch(**{name: values.index_select(0, chosen) for name, values in vars(self).items()})
+    def take(self, chosen: Tensor) -> "_RolloutBatch":
+        return _RolloutBatch(**{name: values.index_select(0, chosen) for name, values in vars(self).items()})
 
 
 def _finite(figures: Tensor, or_else: str) -> Tensor:

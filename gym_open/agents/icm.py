@@ -19,7 +19,7 @@ from torch import Tensor, nn
 
 from gym_open.agents.config import IcmConfig
 from gym_open.agents.encoder import Encoder, init_layer
-from gym_open.agents.world_model import Transitions, WorldModel
+from gym_open.agents.world_model import TransitionBatch, WorldModel
 
 
 class Icm(WorldModel):
@@ -37,7 +37,7 @@ class Icm(WorldModel):
 
     def measure(
         self,
-        transitions: Transitions,
+        transitions: TransitionBatch,
         shifts: Tensor,
         generator: torch.Generator,  # noqa: ARG002  (all shifts are given)
         features: Tensor | None = None,
@@ -56,7 +56,7 @@ class Icm(WorldModel):
         return self.inverse(torch.cat([phi, next_phi], dim=1)).float()
 
     @torch.no_grad()
-    def errors(self, transitions: Transitions) -> dict[str, Tensor]:
+    def errors(self, transitions: TransitionBatch) -> dict[str, Tensor]:
         """`forward`, and `inverse` if it has weight: each error times its weight, clipped at 1."""
         phi, next_phi = self.latent(transitions.obs), self.latent(transitions.next_obs)
         forward, inverse, _ = self._compare(phi, next_phi, transitions.actions)

@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from gym_open.agents.config import REWARDS, RewardName
-from gym_open.agents.world_model import Transitions, WorldModel
+from gym_open.agents.world_model import TransitionBatch, WorldModel
 
 
 class Reward(ABC):
@@ -63,7 +63,9 @@ class OwnError(Reward):
 
     def __call__(self, images: Tensor, actions: Tensor, features: Tensor | None = None) -> Tensor:  # noqa: ARG002
         """The model's errors, summand by summand."""
-        errors = self.model.errors(Transitions(images[:-1].flatten(0, 1), actions.flatten(), images[1:].flatten(0, 1)))
+        errors = self.model.errors(
+            TransitionBatch(images[:-1].flatten(0, 1), actions.flatten(), images[1:].flatten(0, 1))
+        )
         return torch.stack([errors[name].view(actions.shape) for name in self.parts], dim=-1)
 
 

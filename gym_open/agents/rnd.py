@@ -24,7 +24,7 @@ from gym_open.agents.augment import no_shifts, shift_each
 from gym_open.agents.config import RndConfig
 from gym_open.agents.encoder import IMAGE_SHAPE, Encoder, convolutions, init_layer
 from gym_open.agents.threads import through
-from gym_open.agents.world_model import Transitions, WorldModel
+from gym_open.agents.world_model import TransitionBatch, WorldModel
 
 
 class Rnd(WorldModel):
@@ -84,7 +84,7 @@ class Rnd(WorldModel):
 
     def measure(
         self,
-        transitions: Transitions,
+        transitions: TransitionBatch,
         shifts: Tensor,
         generator: torch.Generator,  # noqa: ARG002  (all shifts are given)
         features: Tensor | None = None,
@@ -95,7 +95,7 @@ class Rnd(WorldModel):
         return self._error(transitions.obs, shifts, features).mean(), {}
 
     @torch.no_grad()
-    def errors(self, transitions: Transitions) -> dict[str, Tensor]:
+    def errors(self, transitions: TransitionBatch) -> dict[str, Tensor]:
         """`error`: the mean square error for what each step led to."""
         shifts = no_shifts(len(transitions.next_obs))
         return {"error": self._error(transitions.next_obs, shifts, self.features(transitions.next_obs, shifts))}

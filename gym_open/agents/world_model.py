@@ -11,7 +11,7 @@ from gym_open.agents.config import WorldModelConfig
 from gym_open.agents.encoder import Encoder
 
 
-class Transitions(NamedTuple):
+class TransitionBatch(NamedTuple):
     """B steps: what was seen, what was done, what was seen then."""
 
     obs: Tensor
@@ -45,7 +45,7 @@ class WorldModel(nn.Module, ABC):
 
     @abstractmethod
     def measure(
-        self, transitions: Transitions, shifts: Tensor, generator: torch.Generator, features: Tensor | None = None
+        self, transitions: TransitionBatch, shifts: Tensor, generator: torch.Generator, features: Tensor | None = None
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """What is minimised, a scalar, and scalars without gradient that tell how well it goes, named as in `figures`.
 
@@ -57,13 +57,13 @@ class WorldModel(nn.Module, ABC):
         """
 
     def loss(
-        self, transitions: Transitions, shifts: Tensor, generator: torch.Generator, features: Tensor | None = None
+        self, transitions: TransitionBatch, shifts: Tensor, generator: torch.Generator, features: Tensor | None = None
     ) -> Tensor:
         """What is minimised, of `measure`."""
         return self.measure(transitions, shifts, generator, features)[0]
 
     @abstractmethod
-    def errors(self, transitions: Transitions) -> dict[str, Tensor]:
+    def errors(self, transitions: TransitionBatch) -> dict[str, Tensor]:
         """The model's own error in B steps as intrinsic reward: its summands by name, (B,) each, without gradient."""
 
     @abstractmethod
@@ -76,7 +76,7 @@ class WorldModel(nn.Module, ABC):
         """
 
     @torch.no_grad()
-    def world_loss(self, transitions: Transitions, generator: torch.Generator) -> float:
+    def world_loss(self, transitions: TransitionBatch, generator: torch.Generator) -> float:
         """`loss` of B steps of one world, unshifted unless the loss itself is about shifts."""
         return float(self.loss(transitions, no_shifts(len(transitions.obs)), generator))
 

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from gym_open.agents.explorer import Explorer
 from gym_open.collect.pool import Pool
-from gym_open.collect.stream import Place, Stream
-from gym_open.collect.summary import Record, WorldCounts
+from gym_open.collect.stream import ExplorationStream, StreamPosition
+from gym_open.collect.summary import RunRecord, WorldCounts
 from gym_open.errors import ArtefactError
 from gym_open.formats.checkpoints import (
     load_checkpoint,
@@ -27,8 +27,8 @@ _META = "meta"
 
 
 class _Meta(msgspec.Struct):
-    record: Record
-    places: list[Place]
+    record: RunRecord
+    places: list[StreamPosition]
     tallies: list[WorldCounts]
     messages: list[int]
     """Messages in each stream's log when the checkpoint was taken."""
@@ -46,7 +46,7 @@ class Saved(NamedTuple):
         return self.meta.messages
 
 
-def save(path: Path, record: Record, explorer: Explorer, pool: Pool, streams: Sequence[Stream]) -> None:
+def save(path: Path, record: RunRecord, explorer: Explorer, pool: Pool, streams: Sequence[ExplorationStream]) -> None:
     """Write everything that the run's future depends on. The logs reach the disk first."""
     for stream in streams:
         stream.log.sync()
@@ -84,7 +84,7 @@ def load(path: Path) -> Saved | None:
         raise ArtefactError(f"{path}: no checkpoint of a run ({error}); remove its folder to start over") from None
 
 
-def restore(saved: Saved, explorer: Explorer, pool: Pool, streams: Sequence[Stream]) -> Record:
+def restore(saved: Saved, explorer: Explorer, pool: Pool, streams: Sequence[ExplorationStream]) -> RunRecord:
     """Put the parts of a run that has not begun into the saved state, and return its record."""
     explorer.load_tensors(without_prefix("explorer", saved.tensors))
     if explorer.optimizer:

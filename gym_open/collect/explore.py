@@ -16,15 +16,15 @@ import torch
 from msgspec import structs
 
 from gym_open import artefacts, progress
-from gym_open.agents.explorer import Acted, Explorer, Learned
+from gym_open.agents.explorer import Acted, Explorer, LearnedRollout
 from gym_open.agents.threads import threads
 from gym_open.collect import checkpoint
 from gym_open.collect.config import CollectConfig
 from gym_open.collect.curriculum import RULES, Situation, smoothed
 from gym_open.collect.figure import draw_summary
 from gym_open.collect.pool import Pool, sample_pool
-from gym_open.collect.stream import Place, PlayedStep, Stream
-from gym_open.collect.summary import Record, SegmentRecord, summarise
+from gym_open.collect.stream import ExplorationStream, PlayedStep, StreamPosition
+from gym_open.collect.summary import RunRecord, SegmentRecord, summarise
 from gym_open.config import to_dict
 from gym_open.envs.constants import IMAGE_SIZE, N_ACTIONS
 from gym_open.envs.physics.model import model_xml
@@ -110,11 +110,11 @@ class Exploration:
         self.pool = Pool(sample_pool(config.pool, config.sandbox, config.seed), config.probe, config.seed)
         self.explorer = Explorer(config.explorer, n_actions=N_ACTIONS, n_streams=config.streams, seed=config.seed)
         self.rule = RULES[config.curriculum.rule](config.curriculum, config.seed)
-        self.record = Record()
+        self.record = RunRecord()
         saved = checkpoint.load(folder / artefacts.SCRATCH / checkpoint.NAME)
         messages = saved.messages if saved else [0] * config.streams
         self.streams = [
-            Stream(index, self.pool, open_logs.enter_context(self._writer(index, count)), config.log)
+            ExplorationStream(index, self.pool, open_logs.enter_context(self._writer(index, count)), config.log)
             for index, count in enumerate(messages)
         ]
         if saved:
@@ -202,7 +202,7 @@ class Exploration:
             acted.append(self.explorer.act(torch.from_numpy(now)))
         return images, acted, played
 
-    def _world_loss(self, stream: Stream, images: np.ndarray, played: list[list[PlayedStep]]) -> float:
+    def _world_loss(self, stream: ExplorationStream, images: np.ndarray, played: list[list[PlayedStep]]) -> float:
         """Measure the loss of the world that a stream is in, after what was played there; not a number for no model."""
         place = stream.place
         if not self.explorer.learns:
@@ -213,7 +213,9 @@ class Exploration:
         place.recent = [*place.recent, loss][-self.config.curriculum.window :]
         return loss
 
-    def _log(self, acted: list[Acted], played: list[list[PlayedStep]], learned: Learned, losses: list[float]) -> None:
+    def _log(
+        self, acted: list[Acted], played: list[list[PlayedStep]], learned: LearnedRollout, losses: list[float]
+    ) -> None:
         rewards, parts = learned.reward.tolist(), learned.parts.tolist()
         entropy, values = [one.entropy.tolist() for one in acted], [one.values.tolist() for one in acted]
         for stream, loss in zip(self.streams, losses, strict=True):
@@ -244,7 +246,7 @@ class Exploration:
                 self._go(stream, decision.world, decision.kind, losses)
         record.last_losses = losses
 
-    def _due(self, place: Place) -> bool:
+    def _due(self, place: StreamPosition) -> bool:
         """Whether the curriculum has something to decide for the stream that is there."""
         measured = len(place.recent) == self.config.curriculum.window
         loss = smoothed(place.recent) if measured else math.inf  # one low figure is no mean of several
@@ -260,7 +262,7 @@ class Exploration:
             for world in range(self.config.pool)
         ]
 
-    def _go(self, stream: Stream, world: int, reason: Ended, losses: list[float]) -> None:
+    def _go(self, stream: ExplorationStream, world: int, reason: Ended, losses: list[float]) -> None:
         place = stream.place
         self.record.segments.append(
             SegmentRecord(

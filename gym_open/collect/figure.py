@@ -30,7 +30,7 @@ STREAMS = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (PURPLE, ":"))
 """Colour and dash of a stream; after the fourth they come again."""
 
 
-class Stay(NamedTuple):
+class SegmentSpan(NamedTuple):
     """A stay in a world, in steps of all streams, which move at one pace."""
 
     stream: int
@@ -70,17 +70,17 @@ def _draw(figure: "Figure", summary: Mapping[str, Any], curriculum: CurriculumCo
     )
 
 
-def _stays(segments: list[dict[str, Any]]) -> Iterator[Stay]:
+def _stays(segments: list[dict[str, Any]]) -> Iterator[SegmentSpan]:
     streams = len({item["stream"] for item in segments})
     steps = [0] * streams
     for item in sorted(segments, key=lambda item: (item["stream"], item["segment"])):
         stream = item["stream"]
         first, steps[stream] = steps[stream], steps[stream] + item["steps"]
         entry, left = (np.nan if item[key] is None else item[key] for key in ("loss_at_entry", "loss_at_exit"))
-        yield Stay(stream, item["world"], first * streams, steps[stream] * streams, entry, left, item["ended"])
+        yield SegmentSpan(stream, item["world"], first * streams, steps[stream] * streams, entry, left, item["ended"])
 
 
-def _losses(axes: "Axes", curve: Mapping[str, Any], stays: list[Stay], curriculum: CurriculumConfig) -> None:
+def _losses(axes: "Axes", curve: Mapping[str, Any], stays: list[SegmentSpan], curriculum: CurriculumConfig) -> None:
     columns = np.array(curve["rows"], dtype=np.float64).reshape(-1, len(curve["columns"])).T
     named = dict(zip(curve["columns"], columns, strict=True))
     axes.set(title="World model's loss", xlabel="steps of all streams", ylabel="loss, scaled")
@@ -106,7 +106,7 @@ def _log_scale(axes: "Axes", losses: np.ndarray, curriculum: CurriculumConfig) -
         axes.axhline(curriculum.threshold, color=VERMILION, linestyle="--", label="threshold: world learned")
 
 
-def _stays_in_worlds(axes: "Axes", stays: list[Stay], worlds: int) -> None:
+def _stays_in_worlds(axes: "Axes", stays: list[SegmentSpan], worlds: int) -> None:
     from matplotlib.ticker import MaxNLocator
 
     axes.set(title="Which world each stream is in", xlabel="steps of all streams", ylabel="world")
@@ -120,7 +120,7 @@ def _stays_in_worlds(axes: "Axes", stays: list[Stay], worlds: int) -> None:
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
 
 
-def _entry_and_exit(axes: "Axes", stays: list[Stay], curriculum: CurriculumConfig) -> None:
+def _entry_and_exit(axes: "Axes", stays: list[SegmentSpan], curriculum: CurriculumConfig) -> None:
     axes.set(title="Loss of a world, entered and left", xlabel="steps of all streams", ylabel="loss, scaled")
     _log_scale(axes, np.array([stay.loss_at_exit for stay in stays]), curriculum)
     stays = [stay for stay in stays if np.isfinite(stay.loss_at_exit)]

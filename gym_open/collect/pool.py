@@ -9,7 +9,7 @@ from torch import Tensor
 
 from gym_open import seeding
 from gym_open.agents.explorer import Explorer
-from gym_open.agents.world_model import Transitions
+from gym_open.agents.world_model import TransitionBatch
 from gym_open.collect.summary import WorldCounts
 from gym_open.envs.constants import IMAGE_SIZE
 from gym_open.envs.puzzles import Puzzle
@@ -78,13 +78,13 @@ class Pool:
             seen[key] = image.copy(), action, after.copy()
         self._seen[world] = dict(list(seen.items())[-self._probe :])
 
-    def transitions(self, world: int) -> Transitions | None:
+    def transitions(self, world: int) -> TransitionBatch | None:
         """What is kept of a world, oldest first; None if nothing is."""
         seen = self._seen[world]
         if not seen:
             return None
         obs, actions, after = zip(*seen.values(), strict=True)
-        return Transitions(
+        return TransitionBatch(
             torch.from_numpy(np.stack(obs)), torch.tensor(actions, dtype=torch.int64), torch.from_numpy(np.stack(after))
         )
 

@@ -13,7 +13,7 @@ from gym_open.formats.logs import LogWriter, SegmentStart, StepMetrics, StepReco
 from gym_open.formats.logs.schemas import Stuck
 
 
-class Place(msgspec.Struct):
+class StreamPosition(msgspec.Struct):
     """Where a stream is in its log and in the pool; plain data, for a checkpoint."""
 
     world: int = -1
@@ -46,12 +46,12 @@ class PlayedStep(msgspec.Struct, frozen=True, eq=False):
     """What the step made stuck or free again."""
 
 
-class Stream:
+class ExplorationStream:
     """Plays in one world of the pool at a time and logs it. `play` moves on, `record` writes what was played."""
 
     def __init__(self, index: int, pool: Pool, log: LogWriter, config: LogConfig) -> None:
         self.index = index
-        self.place = Place()
+        self.place = StreamPosition()
         self.log = log
         self._pool = pool
         self._config = config
@@ -121,7 +121,7 @@ class Stream:
         self.log.switch(switch)
         if place.world >= 0:
             self._pool.left[place.world] = self._world.save_state()
-        self.place = Place(world=switch.to_world, segment=place.segment, step=place.step)
+        self.place = StreamPosition(world=switch.to_world, segment=place.segment, step=place.step)
         if switch.to_world >= 0:
             self.place.segment += 1
             self.place.loss_at_entry = switch.world_losses[switch.to_world]

@@ -91,7 +91,7 @@ class SegmentRecord(msgspec.Struct):
     ended: Ended
 
 
-class Record(msgspec.Struct):
+class RunRecord(msgspec.Struct):
     """What happened so far; part of a checkpoint."""
 
     rollouts: int = 0
@@ -116,7 +116,7 @@ class Record(msgspec.Struct):
 
 
 def summarise(
-    config: CollectConfig, record: Record, puzzles: Sequence[Puzzle], tallies: Sequence[WorldCounts]
+    config: CollectConfig, record: RunRecord, puzzles: Sequence[Puzzle], tallies: Sequence[WorldCounts]
 ) -> dict[str, Any]:
     """The summary of a run that has ended, as JSON-ready data; losses that are infinite or no numbers become null.
 

@@ -16,31 +16,31 @@ from gym_open.hardware import usable_cores
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Stage:
+class PlannedStage:
     """A stage that is to come."""
 
     name: str
     folder: Path
     """Of its artefact."""
     config: Config
-    needs: tuple["Stage", ...] = ()
+    needs: tuple["PlannedStage", ...] = ()
     """Stages whose artefacts it is made of."""
     work: Work
 
 
-def to_do(stages: Sequence[Stage]) -> list[Stage]:
+def to_do(stages: Sequence[PlannedStage]) -> list[PlannedStage]:
     """The stages whose artefacts are not there, or seem to be of other inputs.
 
     Only small records are read: whether an artefact is whole, the stage itself finds out.
     """
-    left: list[Stage] = []
+    left: list[PlannedStage] = []
     for stage in stages:
         if any(needed in left for needed in stage.needs) or not _seems_made(stage):
             left.append(stage)
     return left
 
 
-def _seems_made(stage: Stage) -> bool:
+def _seems_made(stage: PlannedStage) -> bool:
     try:
         made = artefacts.lineage(stage.folder)
         config = msgspec.json.decode(msgspec.json.encode(stage.config))  # as it is on disk: lists, no tuples
@@ -49,7 +49,7 @@ def _seems_made(stage: Stage) -> bool:
         return False
 
 
-def found(stages: Sequence[Stage], root: Path) -> str:
+def found(stages: Sequence[PlannedStage], root: Path) -> str:
     """What stages in the workspace `root` run on, as far as it decides how long they take."""
     with progress.doing("loading PyTorch"):
         import torch
@@ -67,7 +67,7 @@ def found(stages: Sequence[Stage], root: Path) -> str:
     return f"{cores} core{'s' * (cores > 1)}{busy}, {device}, {precisions}, {free} free"
 
 
-def expected(left: Sequence[Stage]) -> str:
+def expected(left: Sequence[PlannedStage]) -> str:
     """How long these stages will take here, in words; measured in about two seconds."""
     works = [stage.work for stage in left]
     with progress.doing("getting ready", progress.COMPILES):

@@ -12,7 +12,7 @@ from gym_open import artefacts, progress, seeding
 from gym_open.agents.augment import draw_shifts
 from gym_open.agents.encoder import Encoder, autocast
 from gym_open.agents.threads import set_threads
-from gym_open.agents.world_model import Transitions
+from gym_open.agents.world_model import TransitionBatch
 from gym_open.agents.world_models import make_world_model
 from gym_open.envs.constants import N_ACTIONS
 from gym_open.errors import ArtefactError, DivergedError
@@ -170,7 +170,7 @@ class _Trainer:
         actions = torch.from_numpy(batch["action.index"][:, 0]).to(device)
         drawn = draw_shifts(len(images), self.config.shift_pad, shifts)
         with autocast(self.config.precision, device):
-            loss, figures = self.model.measure(Transitions(images[:, 0], actions, images[:, 1]), drawn, shifts)
+            loss, figures = self.model.measure(TransitionBatch(images[:, 0], actions, images[:, 1]), drawn, shifts)
         return loss, torch.stack([loss.detach(), *figures.values()]).double().cpu()
 
     @torch.no_grad()

@@ -8,7 +8,7 @@ import torch
 
 from gym_open import seeding
 from gym_open.agents.threads import threads
-from gym_open.agents.world_model import Transitions
+from gym_open.agents.world_model import TransitionBatch
 from gym_open.envs.constants import N_ACTIONS
 from gym_open.envs.puzzles.generators import sample_puzzle
 from gym_open.envs.world import World
@@ -36,10 +36,10 @@ def pictures() -> Callable[..., torch.Tensor]:
 
 
 @pytest.fixture(scope="session")
-def random_play() -> Callable[[int, int], Transitions]:
+def random_play() -> Callable[[int, int], TransitionBatch]:
     """`random_play(n, seed)`: n steps of uniformly random play in a sandbox world that the seed decides."""
 
-    def play(n: int, seed: int) -> Transitions:
+    def play(n: int, seed: int) -> TransitionBatch:
         rng = seeding.generator(seed, "test", "random play")
         world = World()
         world.load(sample_puzzle("sandbox", rng))
@@ -50,6 +50,6 @@ def random_play() -> Callable[[int, int], Transitions]:
             world.step(int(action))
             world.observe(image)
         seen = torch.from_numpy(images)
-        return Transitions(seen[:-1], torch.from_numpy(actions), seen[1:])
+        return TransitionBatch(seen[:-1], torch.from_numpy(actions), seen[1:])
 
     return play

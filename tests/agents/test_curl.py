@@ -10,7 +10,7 @@ from gym_open.agents.augment import draw_shifts, no_shifts
 from gym_open.agents.config import CurlConfig, EncoderConfig
 from gym_open.agents.curl import Curl
 from gym_open.agents.encoder import Encoder
-from gym_open.agents.world_model import Transitions
+from gym_open.agents.world_model import TransitionBatch
 
 Pictures = Callable[..., torch.Tensor]
 
@@ -21,8 +21,8 @@ def curl(seed: int = 0, pad: int = 4) -> Curl:
     return Curl(encoder, CurlConfig(latent=8, pad=pad, tau=0.05), 9, generator)
 
 
-def steps(images: torch.Tensor) -> Transitions:
-    return Transitions(images, torch.zeros(len(images), dtype=torch.int64), images.flip(0))
+def steps(images: torch.Tensor) -> TransitionBatch:
+    return TransitionBatch(images, torch.zeros(len(images), dtype=torch.int64), images.flip(0))
 
 
 def plain_info_nce(logits: np.ndarray) -> np.ndarray:

@@ -21,9 +21,9 @@ from gym_open.agents.config import (
     WorldModelName,
 )  # fmt: skip
 from gym_open.agents.encoder import Encoder, StateEncoder
-from gym_open.agents.explorer import Acted, Explorer, Learned
+from gym_open.agents.explorer import Acted, Explorer, LearnedRollout
 from gym_open.agents.rewards import make_reward
-from gym_open.agents.world_model import Transitions
+from gym_open.agents.world_model import TransitionBatch
 from gym_open.agents.world_models import WORLD_MODELS
 
 Pictures = Callable[..., Tensor]
@@ -55,7 +55,7 @@ def seen(pictures: Pictures) -> Tensor:
     return torch.stack([pictures(2, seed) for seed in range(9)])
 
 
-def play(one: Explorer, seen: Tensor) -> tuple[list[Acted], Learned]:
+def play(one: Explorer, seen: Tensor) -> tuple[list[Acted], LearnedRollout]:
     acted = [one.act(images) for images in seen]
     return acted, one.learn(seen, acted)
 
@@ -64,8 +64,8 @@ def first_weights(encoder: Encoder | StateEncoder) -> Tensor:
     return encoder.layers[0].get_parameter("weight").detach().clone()
 
 
-def transitions(seen: Tensor) -> Transitions:
-    return Transitions(seen[:-1].flatten(0, 1), torch.arange(16) % 9, seen[1:].flatten(0, 1))
+def transitions(seen: Tensor) -> TransitionBatch:
+    return TransitionBatch(seen[:-1].flatten(0, 1), torch.arange(16) % 9, seen[1:].flatten(0, 1))
 
 
 @every_learner

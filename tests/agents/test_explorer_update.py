@@ -12,7 +12,7 @@ from gym_open.agents.augment import no_shifts
 from gym_open.agents.config import CurlConfig, EncoderConfig, ExplorerConfig, IcmConfig, PPOConfig, WorldModelName
 from gym_open.agents.curl import Curl
 from gym_open.agents.explorer import Acted, Explorer
-from gym_open.agents.world_model import Transitions
+from gym_open.agents.world_model import TransitionBatch
 from gym_open.errors import DivergedError
 
 Pictures = Callable[..., Tensor]
@@ -88,7 +88,7 @@ def written_out_loss(
     if not plain:
         squares = torch.maximum(squares, (old + (value - old).clamp(-0.2, 0.2) - returns) ** 2)
     value_loss, entropy = squares.mean() / 2, policy.entropy().mean()
-    play = Transitions(seen[:-1].flatten(0, 1), actions, seen[1:].flatten(0, 1))
+    play = TransitionBatch(seen[:-1].flatten(0, 1), actions, seen[1:].flatten(0, 1))
     model_loss = one.model.loss(play, no_shifts(T * N), torch.Generator())
     figures = [model_loss, policy_loss, value_loss, entropy, (ratio - 1 - ratio.log()).mean()]
     return policy_loss + 0.4 * value_loss - 0.6 * entropy + model_loss, [figure.item() for figure in figures]
@@ -162,7 +162,7 @@ def test_what_is_no_longer_finite_is_an_error(seen: Tensor, acted: list[Acted]) 
     one = explorer(PPOConfig(precision="fp32"))
     assert one.policy is not None
     assert one.model is not None
-    play = Transitions(seen[:-1].flatten(0, 1), torch.zeros(T * N, dtype=torch.int64), seen[1:].flatten(0, 1))
+    play = TransitionBatch(seen[:-1].flatten(0, 1), torch.zeros(T * N, dtype=torch.int64), seen[1:].flatten(0, 1))
     with torch.no_grad():
         one.policy.actor.bias[3] = math.nan
     with pytest.raises(DivergedError, match="the policy's probabilities are not finite"):

@@ -10,7 +10,7 @@ from gym_open.agents.augment import no_shifts
 from gym_open.agents.config import EncoderConfig, IcmConfig
 from gym_open.agents.encoder import Encoder
 from gym_open.agents.icm import Icm
-from gym_open.agents.world_model import Transitions
+from gym_open.agents.world_model import TransitionBatch
 
 Pictures = Callable[..., torch.Tensor]
 ACTIONS = torch.tensor([0, 3, 8, 8, 1])
@@ -22,8 +22,8 @@ def icm(**settings: float) -> Icm:
     return Icm(encoder, IcmConfig(hidden=16, **settings), 9, generator)  # type: ignore[arg-type]
 
 
-def steps(pictures: Pictures) -> Transitions:
-    return Transitions(pictures(5, 0), ACTIONS, pictures(5, 1))
+def steps(pictures: Pictures) -> TransitionBatch:
+    return TransitionBatch(pictures(5, 0), ACTIONS, pictures(5, 1))
 
 
 def dense(network: torch.nn.Module, x: np.ndarray) -> np.ndarray:
@@ -32,7 +32,7 @@ def dense(network: torch.nn.Module, x: np.ndarray) -> np.ndarray:
     return np.maximum(x @ w1.T + b1, 0) @ w2.T + b2
 
 
-def plain_errors(model: Icm, play: Transitions) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def plain_errors(model: Icm, play: TransitionBatch) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """½ mean_d (φ̂′ − φ′)², −log p(a) and whether a is the likeliest, from features and weights alone."""
 
     def phi(images: torch.Tensor) -> np.ndarray:
@@ -80,7 +80,7 @@ def test_both_pictures_of_a_step_are_shifted_alike(pictures: Pictures) -> None:
     """Shifting the mean-coloured pictures themselves beforehand is the same as asking for the shift."""
     model, play = icm(), steps(pictures)
     model.encoder.set_mean_image(torch.full((1, 84, 84, 3), 90, dtype=torch.uint8))
-    rolled = Transitions(play.obs.roll((5, -4), (1, 2)), play.actions, play.next_obs.roll((5, -4), (1, 2)))
+    rolled = TransitionBatch(play.obs.roll((5, -4), (1, 2)), play.actions, play.next_obs.roll((5, -4), (1, 2)))
     given = torch.tensor([[5, -4]]).expand(5, 2)
     nothing = torch.Generator()
     expected = model.loss(rolled, no_shifts(5), nothing).item()

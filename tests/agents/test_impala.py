@@ -12,7 +12,7 @@ from gym_open.agents.augment import no_shifts
 from gym_open.agents.config import CurlConfig, EncoderConfig, ExplorerConfig, IcmConfig, RndConfig, WorldModelName
 from gym_open.agents.encoder import Encoder, impala
 from gym_open.agents.policy import ActorCritic
-from gym_open.agents.world_model import Transitions
+from gym_open.agents.world_model import TransitionBatch
 from gym_open.agents.world_models import WORLD_MODELS, make_world_model
 from gym_open.formats.models import load_encoder, load_policy, save_encoder, save_policy
 
@@ -60,7 +60,7 @@ def test_every_world_model_teaches_all_of_it(name: WorldModelName, pictures: Cal
     config = ExplorerConfig(icm=IcmConfig(hidden=8), rnd=RndConfig(hidden=8, outputs=8), curl=CurlConfig(latent=8))
     model = make_world_model(name, config, Encoder(DEEP, init), 9, init)
     model.watch(pictures(4))
-    play = Transitions(pictures(4), torch.arange(4), pictures(4, 1))
+    play = TransitionBatch(pictures(4), torch.arange(4), pictures(4, 1))
     model.loss(play, no_shifts(4), init).backward()
     assert all(weight.grad is not None and weight.grad.any() for weight in model.encoder.parameters())
 

@@ -10,20 +10,20 @@ from gym_open.agents.augment import draw_shifts
 from gym_open.agents.config import EncoderConfig, ExplorerConfig, WorldModelName
 from gym_open.agents.encoder import Encoder, autocast
 from gym_open.agents.icm import Icm
-from gym_open.agents.world_model import Transitions, WorldModel
+from gym_open.agents.world_model import TransitionBatch, WorldModel
 from gym_open.agents.world_models import make_world_model
 from gym_open.precision import native_precision
 
 pytestmark = pytest.mark.learning
-RandomPlay = Callable[[int, int], Transitions]
+RandomPlay = Callable[[int, int], TransitionBatch]
 
 
-def joined(parts: list[Transitions]) -> Transitions:
-    return Transitions(*(torch.cat(columns) for columns in zip(*parts, strict=True)))
+def joined(parts: list[TransitionBatch]) -> TransitionBatch:
+    return TransitionBatch(*(torch.cat(columns) for columns in zip(*parts, strict=True)))
 
 
 def learned(
-    name: WorldModelName, train: Transitions, held_out: Transitions, n_updates: int
+    name: WorldModelName, train: TransitionBatch, held_out: TransitionBatch, n_updates: int
 ) -> tuple[WorldModel, float]:
     """A model after some updates on `train`, and its loss on `held_out` as a share of what that was before."""
     init, draws = torch.Generator().manual_seed(0), torch.Generator().manual_seed(1)
@@ -39,7 +39,7 @@ def learned(
     optimizer = torch.optim.Adam([p for p in model.parameters() if p.requires_grad], lr=1e-3, fused=True)
     for _ in range(n_updates):
         chosen = torch.randint(len(train.obs), (64,), generator=draws)
-        batch = Transitions(train.obs[chosen], train.actions[chosen], train.next_obs[chosen])
+        batch = TransitionBatch(train.obs[chosen], train.actions[chosen], train.next_obs[chosen])
         with autocast(native_precision()):
             objective = model.loss(batch, draw_shifts(64, 4, draws), draws)
         optimizer.zero_grad()
@@ -50,7 +50,7 @@ def learned(
     return model, loss() / before
 
 
-def accuracy(model: WorldModel, play: Transitions) -> float:
+def accuracy(model: WorldModel, play: TransitionBatch) -> float:
     """How often the inverse model names the action, of the steps in which anything changed."""
     assert isinstance(model, Icm)
     with torch.no_grad():
@@ -59,23 +59,25 @@ def accuracy(model: WorldModel, play: Transitions) -> float:
     return (named == play.actions)[changed].float().mean().item()
 
 
-def distinct(play: Transitions) -> Transitions:
+def distinct(play: TransitionBatch) -> TransitionBatch:
     """The first step from each picture: contrasts between equal pictures cannot be learned."""
     first: dict[bytes, int] = {}
     for i, picture in enumerate(play.obs.numpy()):
         first.setdefault(picture.tobytes(), i)
-    return Transitions(*(column[list(first.values())] for column in play))
+    return TransitionBatch(*(column[list(first.values())] for column in play))
 
 
-def played(random_play: RandomPlay, n_worlds: int, n_train: int, n_held_out: int) -> tuple[Transitions, Transitions]:
+def played(
+    random_play: RandomPlay, n_worlds: int, n_train: int, n_held_out: int
+) -> tuple[TransitionBatch, TransitionBatch]:
     """Random play in some worlds: the first steps in each to learn from, the last ones held out."""
     plays = [random_play(n_train + n_held_out, seed) for seed in range(n_worlds)]
-    train = [Transitions(*(column[:n_train] for column in play)) for play in plays]
-    held_out = [Transitions(*(column[n_train:] for column in play)) for play in plays]
+    train = [TransitionBatch(*(column[:n_train] for column in play)) for play in plays]
+    held_out = [TransitionBatch(*(column[n_train:] for column in play)) for play in plays]
     return joined(train), distinct(joined(held_out))
 
 
-def moved_squares(n: int, seed: int) -> Transitions:
+def moved_squares(n: int, seed: int) -> TransitionBatch:
     """A square somewhere, which each of the nine actions moves its own way (4 leaves it where it is)."""
     rng = np.random.default_rng(seed)
     actions, places = rng.integers(0, 9, n), rng.integers(20, 50, (n, 2))
@@ -85,7 +87,7 @@ def moved_squares(n: int, seed: int) -> Transitions:
         down, right = (16 * (step - 1) for step in divmod(int(actions[i]), 3))
         obs[i, row : row + 12, column : column + 12] = 250
         next_obs[i, row + down : row + down + 12, column + right : column + right + 12] = 250
-    return Transitions(torch.from_numpy(obs), torch.from_numpy(actions), torch.from_numpy(next_obs))
+    return TransitionBatch(torch.from_numpy(obs), torch.from_numpy(actions), torch.from_numpy(next_obs))
 
 
 def test_icm_learns_which_action_it_was() -> None:

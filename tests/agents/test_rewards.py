@@ -8,7 +8,7 @@ from torch import Tensor
 from gym_open.agents.config import EncoderConfig, WorldModelConfig
 from gym_open.agents.encoder import Encoder
 from gym_open.agents.rewards import CountedRide, OwnError, RewardScale, Ride, cells
-from gym_open.agents.world_model import Transitions, WorldModel
+from gym_open.agents.world_model import TransitionBatch, WorldModel
 from gym_open.envs.puzzles import Placement, Puzzle
 from gym_open.envs.world import World
 
@@ -23,14 +23,14 @@ class Known(WorldModel):
 
     def measure(
         self,
-        transitions: Transitions,  # noqa: ARG002
+        transitions: TransitionBatch,  # noqa: ARG002
         shifts: Tensor,
         generator: torch.Generator,  # noqa: ARG002
         features: Tensor | None = None,  # noqa: ARG002
     ) -> tuple[Tensor, dict[str, Tensor]]:
         return shifts.float().sum(), {}
 
-    def errors(self, transitions: Transitions) -> dict[str, Tensor]:
+    def errors(self, transitions: TransitionBatch) -> dict[str, Tensor]:
         change = transitions.next_obs[:, 0, 0, 0].float() - transitions.obs[:, 0, 0, 0].float()
         return {"change": change, "action": transitions.actions.float()}
 
@@ -111,7 +111,7 @@ def test_own_error_is_the_models_errors_by_step_and_in_the_order_of_its_parts(im
 
 
 def test_a_world_is_measured_without_shifts(images: Tensor) -> None:
-    play = Transitions(images[:, 0], torch.zeros(4, dtype=torch.int64), images[:, 1])
+    play = TransitionBatch(images[:, 0], torch.zeros(4, dtype=torch.int64), images[:, 1])
     assert Known().world_loss(play, torch.Generator()) == 0
 
 

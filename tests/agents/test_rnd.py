@@ -9,7 +9,7 @@ from gym_open.agents.augment import no_shifts
 from gym_open.agents.config import EncoderConfig, RndConfig
 from gym_open.agents.encoder import Encoder
 from gym_open.agents.rnd import Rnd
-from gym_open.agents.world_model import Transitions
+from gym_open.agents.world_model import TransitionBatch
 
 Pictures = Callable[..., torch.Tensor]
 
@@ -20,8 +20,8 @@ def rnd(clip: float = 5.0) -> Rnd:
     return Rnd(encoder, RndConfig(hidden=16, outputs=24, clip=clip), 9, generator)
 
 
-def steps(pictures: Pictures) -> Transitions:
-    return Transitions(pictures(5, 0), torch.zeros(5, dtype=torch.int64), pictures(5, 1))
+def steps(pictures: Pictures) -> TransitionBatch:
+    return TransitionBatch(pictures(5, 0), torch.zeros(5, dtype=torch.int64), pictures(5, 1))
 
 
 def test_the_target_sees_pixels_in_running_deviations_clipped(pictures: Pictures) -> None:

@@ -7,7 +7,7 @@ import torch
 
 from gym_open import seeding
 from gym_open.agents.explorer import Explorer
-from gym_open.agents.world_model import Transitions
+from gym_open.agents.world_model import TransitionBatch
 from gym_open.collect.config import CollectConfig
 from gym_open.collect.pool import Pool, sample_pool
 from gym_open.envs.puzzles.generators import SandboxConfig
@@ -36,7 +36,7 @@ def test_the_loss_of_a_world_is_the_world_models_on_what_was_seen_of_it(tiny: Co
     seen = rng.integers(0, 256, (9, 84, 84, 3), dtype=np.uint8)
     actions = rng.integers(0, 9, 8)
     own.see(0, seen[:-1], actions, seen[1:])
-    kept = Transitions(torch.from_numpy(seen[:-1]), torch.from_numpy(actions), torch.from_numpy(seen[1:]))
+    kept = TransitionBatch(torch.from_numpy(seen[:-1]), torch.from_numpy(actions), torch.from_numpy(seen[1:]))
     shifts = torch.Generator().manual_seed(seeding.integer(0, "collect", "probe", 0, 1))
     draws = [own.loss(0, explorer, rollout) for rollout in (1, 1, 2)]
     assert draws[0] == draws[1] == explorer.world_loss(kept, shifts) != draws[2]

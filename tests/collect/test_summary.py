@@ -15,7 +15,7 @@ from gym_open.collect.config import CollectConfig, CurriculumConfig
 from gym_open.collect.figure import draw_summary
 from gym_open.collect.pool import sample_pool
 from gym_open.collect.report import MOST_STAYS, summary_table
-from gym_open.collect.summary import Record, SegmentRecord, StuckCount, WorldCounts, summarise
+from gym_open.collect.summary import RunRecord, SegmentRecord, StuckCount, WorldCounts, summarise
 from gym_open.envs.puzzles.generators import SandboxConfig
 from gym_open.errors import ArtefactError
 
@@ -33,7 +33,7 @@ def summed_up(config: CollectConfig, losses: list[float], stays: int = 1) -> dic
         *(SegmentRecord(0, 2 + i, 0, 1, losses[0], losses[0] / 2, "learned") for i in range(stays - 1)),
     ]
     curve = [(50, 2 * losses[0], losses[0], 0.1, 2.0), (100, losses[0], losses[2], 0.1, 2.0)]
-    record = Record(2, 100, 1, [], segments, curve, losses, "budget")
+    record = RunRecord(2, 100, 1, [], segments, curve, losses, "budget")
     tallies = [
         WorldCounts(visits=1, steps=30),
         WorldCounts(visits=1, steps=20),

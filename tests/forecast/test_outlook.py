@@ -10,17 +10,17 @@ from gym_open import artefacts
 from gym_open.collect.config import CollectConfig
 from gym_open.config import Config
 from gym_open.forecast import outlook
-from gym_open.forecast.outlook import Stage
+from gym_open.forecast.outlook import PlannedStage
 from gym_open.forecast.work import Work, learning
 from gym_open.hardware import usable_cores
 from gym_open.train.config import PolicyTrainConfig
 
 
-def toy(root: Path, name: str, config: Config, *needs: Stage) -> Stage:
-    return Stage(name=name, folder=root / name, config=config, needs=needs, work=Work())
+def toy(root: Path, name: str, config: Config, *needs: PlannedStage) -> PlannedStage:
+    return PlannedStage(name=name, folder=root / name, config=config, needs=needs, work=Work())
 
 
-def make(stage: Stage) -> None:
+def make(stage: PlannedStage) -> None:
     artefacts.build(stage.folder, kind="toy", config=stage.config, parents=(), work=lambda _: {})
 
 
@@ -58,7 +58,7 @@ def test_the_machine_is_described_as_far_as_it_matters(
     config = PolicyTrainConfig(steps=128, num_envs=4, num_steps=16, mean_images=4, threads=1)
     ppo = msgspec.structs.replace(config.ppo, precision="fp32")
     work = learning(msgspec.structs.replace(config, ppo=ppo), encoder=False)
-    stage = Stage(name="policy", folder=tmp_path / "policy", config=config, work=work)
+    stage = PlannedStage(name="policy", folder=tmp_path / "policy", config=config, work=work)
     monkeypatch.setattr(outlook, "usable_cores", lambda: 2)
     monkeypatch.setattr(os, "getloadavg", lambda: (2.9, 0.0, 0.0))
     cores, device, precision, free = outlook.found([stage], tmp_path).split(", ")
