@@ -118,7 +118,7 @@ class WorldModelSections(Config, frozen=True, kw_only=True):
         return getattr(self, name)
 
 
-REWARDS = {
+INTRINSIC_REWARDS = {
     "error": "rewards.OwnError",
     "ride": "rewards.Ride",
     "counted-ride": "rewards.CountedRide",
@@ -129,7 +129,7 @@ if TYPE_CHECKING:
 else:
     WorldModelName = Literal[WorldModelSections.__struct_fields__]
     ExplorerModelName = Literal["none", *WorldModelSections.__struct_fields__]
-    RewardName = Literal["none", *REWARDS]
+    RewardName = Literal["none", *INTRINSIC_REWARDS]
 
 
 class PPOConfig(Config, frozen=True, kw_only=True):

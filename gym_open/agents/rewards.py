@@ -11,7 +11,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from gym_open.agents.config import REWARDS, RewardName
+from gym_open.agents.config import INTRINSIC_REWARDS, RewardName
 from gym_open.agents.world_model import TransitionBatch, WorldModel
 
 
@@ -49,8 +49,8 @@ class Reward(ABC):
 
 
 def make_reward(name: RewardName, model: WorldModel, n_streams: int) -> Reward:
-    """The reward `name` of `config.REWARDS`, computed from `model` for `n_streams` streams."""
-    module, kind = REWARDS[name].split(".")
+    """The reward `name` of `config.INTRINSIC_REWARDS`, computed from `model` for `n_streams` streams."""
+    module, kind = INTRINSIC_REWARDS[name].split(".")
     return getattr(import_module(f"gym_open.agents.{module}"), kind)(model, n_streams)
 
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from gym_open.agents.config import (
-    REWARDS,
+    INTRINSIC_REWARDS,
     CurlConfig,
     EncoderConfig,
     ExplorerConfig,
@@ -29,7 +29,7 @@ from gym_open.agents.world_models import WORLD_MODELS
 Pictures = Callable[..., Tensor]
 PPO = PPOConfig(learning_rate=1e-3, minibatch_size=16, update_epochs=1, shift_pad=2, precision="fp32")
 LEARNERS: list[tuple[WorldModelName, RewardName]] = [
-    (model, reward) for model in WORLD_MODELS for reward in (*REWARDS, "none")
+    (model, reward) for model in WORLD_MODELS for reward in (*INTRINSIC_REWARDS, "none")
 ]
 every_learner = pytest.mark.parametrize(("model", "reward"), LEARNERS)
 

@@ -4,7 +4,7 @@ from typing import cast, get_args
 
 import pytest
 
-from gym_open.agents.config import REWARDS, ExplorerConfig, ExplorerModelName, RewardName, WorldModelName
+from gym_open.agents.config import INTRINSIC_REWARDS, ExplorerConfig, ExplorerModelName, RewardName, WorldModelName
 from gym_open.agents.world_models import WORLD_MODELS
 from gym_open.config import decode
 from gym_open.errors import ConfigError
@@ -32,10 +32,10 @@ def test_a_new_reward_has_a_name_too() -> None:
 
 def test_the_tables_hold_what_can_be_asked_for() -> None:
     assert {*WORLD_MODELS, "none"} == set(get_args(ExplorerModelName))
-    assert {*REWARDS, "none"} == set(get_args(RewardName))
+    assert {*INTRINSIC_REWARDS, "none"} == set(get_args(RewardName))
 
 
-@pytest.mark.parametrize("reward", REWARDS)
+@pytest.mark.parametrize("reward", INTRINSIC_REWARDS)
 def test_a_reward_without_a_world_model_is_refused(reward: str) -> None:
     raw = {"world_model": "none", "reward": reward}
     with pytest.raises(ConfigError, match=rf"`reward` '{reward}' needs a world model, got `world_model` 'none'"):

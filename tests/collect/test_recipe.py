@@ -20,7 +20,7 @@ FILES = {path: block for block in BLOCKS for path in re.findall(r"\A# (\S+\.(?:p
 LINES = [block for block in BLOCKS if block.startswith("    ")]
 CONFIG = "gym_open/agents/config.py"
 AFTER = ('    """Used if `world_model` is `curl`."""\n', '    "counted-ride": "rewards.CountedRide",\n')
-"""In `CONFIG`, the end of `WorldModelSections` and the end of `REWARDS`."""
+"""In `CONFIG`, the end of `WorldModelSections` and the end of `INTRINSIC_REWARDS`."""
 SIZE = [
     "--steps", "64", "--streams", "2", "--rollout", "8", "--pool", "2", "--probe", "16", "--threads", "1",
     "--explorer.encoder.features", "16", "--explorer.ppo.minibatch-size", "16", "--explorer.ppo.update-epochs", "1",
