@@ -1,7 +1,7 @@
-"""Several worlds of one model, stepped and drawn in one compiled call, so that threads do not wait for one another.
+"""Step and draw several worlds of one model in one compiled call, so that threads do not wait for one another.
 
-Compiled code takes each array as an argument of its own, and cannot take those of as many worlds as there happen to be.
-So each world's drawing comes as an *arrays*, a record of where its arrays are, and is put together again there.
+Compiled code has a fixed number of arguments, and each array is one argument. It cannot take the arrays of any number
+of worlds. So each world's `Drawing` is passed as a record of its arrays' addresses, and compiled code rebuilds it.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ _ARRAYS = (
     *(f"{image}_{name}" for image in _IMAGES for name in Image._fields),
 )
 _ADDRESSES = np.dtype([("parts", np.int64), *((name, np.int64) for name in _ARRAYS)])
-"""How many parts are drawn, and the addresses of the arrays of a `Drawing`."""
+"""The number of parts, and the addresses of all arrays of a `Drawing`."""
 
 
 @compiled
@@ -42,20 +42,20 @@ def play_and_draw(  # noqa: PLR0917  # compiled code takes arguments by position
     camera: Camera,
     images: np.ndarray,
 ) -> None:
-    """Take the actions of worlds `first` to `last` − 1, and draw them; who has a negative action is left out.
+    """Step worlds `first` to `last` − 1, and draw them; worlds with a negative action are left out.
 
     Args:
-        boards: of all worlds, as are the addresses.
-        addresses: where their drawings are.
+        boards: boards of all worlds.
+        addresses: addresses of the drawings of all worlds.
         first: index of the first world.
-        last: index past the last one.
+        last: index after the last world.
         actions: (worlds,) int64.
         pushes: (actions, 2): change of the agent's velocity in m/s.
-        substeps: of each action but 0, which lets no time pass.
-        constants: of the worlds' model, as are the next two.
-        triangles: of its meshes.
-        camera: its camera.
-        images: (worlds, height, width, 3) uint8, to be written.
+        substeps: number of substeps of each action, except action 0, during which no time passes.
+        constants: constants of the worlds' model.
+        triangles: triangles of the model's meshes.
+        camera: the model's camera.
+        images: (worlds, height, width, 3) uint8, overwritten.
     """
     for i in range(first, last):
         action = actions[i]
@@ -104,10 +104,10 @@ def _drawing(arrays: Any, triangles: Triangles, camera: Camera) -> Drawing:
 
 
 class Fleet:
-    """Worlds with equal options, with their boards side by side.
+    """Worlds with equal options, with their boards in one array.
 
     Attributes:
-        boards: of the worlds; `boards["states"]`, (worlds, N, 13), are their `object_state`.
+        boards: boards of the worlds; `boards["states"]`, (worlds, N, 13), holds each `object_state`.
     """
 
     def __init__(self, worlds: Sequence[World]) -> None:
@@ -116,15 +116,16 @@ class Fleet:
         for index, world in enumerate(worlds):
             world.stepper.move(self.boards, index)
         self._addresses = np.zeros(len(worlds), _ADDRESSES)
-        self._drawings: list[Drawing | None] = [None] * len(worlds)  # kept, as long as their addresses are used
+        self._drawings: list[Drawing | None] = [None] * len(worlds)  # kept alive while their addresses are used
         one = worlds[0]
         self._common = one.options.substeps, one.stepper.constants, one.drawing.triangles, one.drawing.camera
         self._pushes = c.MOVE_SPEED * np.array(c.MOVES, float)
 
     def play(self, first: int, last: int, actions: np.ndarray, images: np.ndarray) -> None:
-        """Take the actions (worlds,) int64 of worlds `first` to `last` − 1; who has a negative one is left out.
+        """Step worlds `first` to `last` − 1 by their `actions` (worlds,) int64; negative actions are left out.
 
-        Their pictures are written to `images` (worlds, height, width, 3). Other threads may play others meanwhile.
+        Their observations are written to `images` (worlds, height, width, 3). Other threads may step other worlds at
+        the same time.
         """
         for i in range(first, last):
             drawing = self._worlds[i].drawing

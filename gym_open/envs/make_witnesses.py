@@ -1,6 +1,6 @@
-"""Plan a witness for every fixed puzzle and write them: `python -m gym_open.envs.make_witnesses FOLDER`.
+"""Plan a witness for each fixed puzzle, and write them: `python -m gym_open.envs.make_witnesses FOLDER`.
 
-The same physics gives the same bytes. Takes about a minute.
+The same physics gives the same bytes. This takes about a minute.
 """
 
 import sys
@@ -16,7 +16,7 @@ from gym_open.envs.world import World
 
 
 def main(folder: Path) -> None:
-    """Write the witnesses of all sets, and the digests of all files, to `folder`."""
+    """Write the witnesses of all sets and the digests of all files to `folder`."""
     world = World()
     plans: list[Solution] = []
     for task in TASKS:

@@ -1,10 +1,10 @@
-"""A planner that sees the state: best-first search over action sequences, simulated by the world itself.
+"""A planner that sees the simulator state: best-first search over action sequences, simulated in a world.
 
-It looks for the sequence with the best A-Success. Where goals i, worth r_i and 1 together, are touched at actions k_i,
-this is 1 − Σ r_i ln k_i / ln(N + 1), so that Σ r_i ln k_i is the cost. The bound on it comes from how far the agent can
-move in an action, cubes left aside; what an action does is simulated only when its bound is the least of all. That is
-A*: the first solution found is the best but for what the bound leaves out (goals that are pushed towards the agent)
-and for states taken as one.
+It searches for the sequence with the best A-Success. If goals i with rewards r_i (sum 1) are touched at actions k_i,
+A-Success is 1 − Σ r_i ln k_i / ln(N + 1), so the cost is Σ r_i ln k_i. The lower bound of the cost follows from the
+distance that the agent can move per action, without cubes in its way. An action is simulated only when its bound is the
+smallest of all: this is A*. The first solution is the best one, with two exceptions: the bound ignores goals that are
+pushed towards the agent, and similar states count as equal.
 """
 
 import heapq
@@ -22,48 +22,48 @@ from gym_open.envs.tasks import REWARDS, judge, step_budget
 from gym_open.envs.world import World
 
 REACH = c.MOVE_SPEED * c.CONTROL_DT_S
-"""Metres on each axis that the agent moves in one action on free table."""
+"""Metres on each axis that the agent moves per action on a free table."""
 TOUCH = 2 * c.RADIUS
-"""Distance between the centres of two spheres that touch."""
+"""Distance between the centres of two spheres in contact."""
 AGENT_GRAIN, OBJECT_GRAIN = REACH / 16, REACH / 8
-"""States whose agents, and other objects, lie in the same grains of these sizes are taken for one."""
+"""Grid sizes for the agent and for other objects: states with equal grid positions count as equal."""
 SIMULATIONS = 3000
-"""Steps simulated in a search before the next, greedier one begins."""
+"""Steps simulated in a search before the next search, which is greedier."""
 GREED = (1.0, 2.0, 5.0)
-"""Factors on the estimate of what is still to be done, one a search; 1 makes the first solution found the best."""
+"""Factor per search on the estimate of the remaining moves; with 1, the first solution found is the best."""
 SHIFTS_M = (1e-9,) * 2 + (1e-6,) * 2 + (1e-4,) * 4
-"""Standard deviations in metres of the shifts of all objects that a sequence should also solve the puzzle under."""
+"""Standard deviations in metres of random shifts of all objects, after which a robust sequence still solves it."""
 
 
 class Solution(msgspec.Struct, frozen=True):
-    """What the planner found."""
+    """A solution of a puzzle."""
 
     actions: tuple[int, ...]
-    """A sequence that solves the puzzle completely."""
+    """A sequence that earns the whole return."""
     robust: bool
-    """Whether it also does so after all shifts of `SHIFTS_M`."""
+    """Whether it also does so after each shift of `SHIFTS_M`."""
     simulated: int
-    """Steps that were simulated to find it."""
+    """Number of steps simulated to find it."""
 
 
 class _Node(msgspec.Struct):
     state: np.ndarray
     agent: np.ndarray
     goals: dict[str, np.ndarray]
-    """Places of the goals not yet touched."""
+    """Positions of the goals not yet touched."""
     cost: float
     actions: tuple[int, ...]
 
 
 def plan(puzzle: Puzzle, world: World | None = None) -> Solution:
-    """Find a sequence of actions that earns the puzzle's whole return, with the best A-Success that is found.
+    """Find a sequence of actions that earns the puzzle's whole return, with the best A-Success found.
 
     Args:
         puzzle: a puzzle of a task.
-        world: a world to simulate in; its puzzle and state are lost.
+        world: a world for simulation; its puzzle and state are lost.
 
     Raises:
-        PuzzleError: if no solution is found within the searches' limits.
+        PuzzleError: if the searches end without a solution.
     """
     world = world or World()
     spare: Solution | None = None
@@ -81,18 +81,18 @@ def plan(puzzle: Puzzle, world: World | None = None) -> Solution:
 
 
 def solves(world: World, puzzle: Puzzle, actions: Sequence[int], shift: np.ndarray | None = None) -> bool:
-    """Whether the actions earn the whole return, the last of them ending the episode.
+    """Whether the actions earn the whole return, and the last one terminates the episode.
 
     Args:
-        world: a world to play in.
-        puzzle: where to play.
-        actions: what to do.
-        shift: (N, 3) metres by which all objects are first moved.
+        world: a world for simulation.
+        puzzle: the puzzle to solve.
+        actions: the actions from the start.
+        shift: (N, 3) metres by which all objects are moved first.
     """
     world.load(puzzle)
     if shift is not None:
         state = world.save_state()
-        state[1 : 1 + world.model.nq].reshape(-1, 7)[:, :3] += shift  # behind the time
+        state[1 : 1 + world.model.nq].reshape(-1, 7)[:, :3] += shift  # the first number is the time
         world.restore_state(state)
     earned, hits, terminated = 0.0, 0, False
     for action in actions:
@@ -105,7 +105,7 @@ def solves(world: World, puzzle: Puzzle, actions: Sequence[int], shift: np.ndarr
 
 
 def is_robust(world: World, puzzle: Puzzle, actions: Sequence[int]) -> bool:
-    """Whether the actions solve the puzzle as it is and after all shifts of `SHIFTS_M`."""
+    """Whether the actions solve the puzzle without a shift and after each shift of `SHIFTS_M`."""
     shape = len(world.inventory), 3
     rng = np.random.default_rng(0)
     shifts = (size * rng.standard_normal(shape) for size in SHIFTS_M)
@@ -113,7 +113,7 @@ def is_robust(world: World, puzzle: Puzzle, actions: Sequence[int]) -> bool:
 
 
 def _search(world: World, puzzle: Puzzle, greed: float) -> Iterator[tuple[tuple[int, ...], int]]:
-    """Yield solutions, each with the number of steps simulated so far, the one with the least bound first."""
+    """Yield solutions in order of their bounds, each with the number of steps simulated so far."""
     bound = _Bound(puzzle, greed)
     world.load(puzzle)
     moving = np.flatnonzero(world.present)
@@ -158,11 +158,11 @@ def _key(agent: np.ndarray, others: np.ndarray, left: int) -> bytes:
 
 
 class _Bound:
-    """The least cost that a node's child may lead to, were nothing in the agent's way but the pen's wall."""
+    """Lower bound of the cost through a node's child, as if only the pen's wall were in the agent's way."""
 
     def __init__(self, puzzle: Puzzle, greed: float) -> None:
         self.rewards, self.greed = REWARDS[puzzle.task], greed
-        self.pen = puzzle.pen and _Way(puzzle.pen)
+        self.pen = puzzle.pen and _PenExit(puzzle.pen)
 
     def __call__(self, node: _Node, action: int) -> float:
         start = node.agent[:2]
@@ -175,7 +175,7 @@ class _Bound:
             total, at, moves = node.cost, end, 0
             for i, name in enumerate(order):
                 goal = node.goals[name]
-                if i or _distance_to_way(start, end, goal) > TOUCH:
+                if i or _distance_to_path(start, end, goal) > TOUCH:
                     moves += self._moves(at, goal, node.agent[2])
                 total += self.rewards[kind_of(name)] * math.log(done + self.greed * moves)
                 at = goal
@@ -194,11 +194,11 @@ class _Bound:
         return moves
 
 
-class _Way:
-    """The way out of a pen: to the foot of its ramp, up to the platform, over the wall."""
+class _PenExit:
+    """The exit of a pen: to the foot of its ramp, up to the platform, over the wall."""
 
     LOW = c.RADIUS + 0.01
-    """Below this height the agent is not on the ramp."""
+    """An agent below this height is not on the ramp."""
 
     def __init__(self, pen: Pen) -> None:
         i, j = SIDES[pen.ramp_side]
@@ -214,7 +214,7 @@ class _Way:
 
 
 def least_moves(start: np.ndarray, goal: np.ndarray) -> int:
-    """Fewest actions after which a free agent at `start` touches a resting sphere at `goal`."""
+    """Smallest number of actions until an unhindered agent from `start` touches a resting sphere at `goal`."""
     x, y = np.abs(goal - start)
     moves = 0
     while math.hypot(max(x - moves * REACH, 0.0), max(y - moves * REACH, 0.0)) > TOUCH:
@@ -222,7 +222,7 @@ def least_moves(start: np.ndarray, goal: np.ndarray) -> int:
     return moves
 
 
-def _distance_to_way(start: np.ndarray, end: np.ndarray, point: np.ndarray) -> float:
+def _distance_to_path(start: np.ndarray, end: np.ndarray, point: np.ndarray) -> float:
     way = end - start
     share = np.clip((point - start) @ way / max(way @ way, 1e-12), 0.0, 1.0)
     return float(np.linalg.norm(start + share * way - point))

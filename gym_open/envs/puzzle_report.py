@@ -1,4 +1,4 @@
-"""What a person sees of a fixed puzzle, and the check of all of them."""
+"""Show a fixed puzzle to a person, and check all fixed puzzles."""
 
 import itertools
 
@@ -24,7 +24,7 @@ from gym_open.envs.world import World
 from gym_open.terminal import titled_table
 
 ARROWS = "·→↗↑↖←↙↓↘"
-"""A sign for each action, north up."""
+"""A symbol for each action, with north up."""
 _SIGNS = {
     "agent": "A",
     "yellow": "Y",
@@ -41,7 +41,7 @@ _MESH = "M"
 
 
 def show(name: str) -> RenderableType:
-    """The fixed puzzle with this id: its cells seen from above, its digest and its witness.
+    """Show the fixed puzzle with this id: a map of its cells, its digest and its witness.
 
     Raises:
         PuzzleError: if no fixed puzzle has this id.
@@ -59,7 +59,7 @@ def show(name: str) -> RenderableType:
 
 
 def cell_map(puzzle: Puzzle) -> Text:
-    """The 16 × 9 cells seen from above, north up: a letter an object, # pen, ▲ ramp (upwards), ░ patch."""
+    """A map of the 16 × 9 cells, north up: one letter per object, # pen, ▲ ramp (points upwards), ░ patch."""
     signs: dict[puzzles.Cell, tuple[str, tuple[int, int, int]]] = {}
     if puzzle.patch:
         for cell in puzzles.block(puzzle.patch.row, puzzle.patch.column, 1):
@@ -83,10 +83,10 @@ def cell_map(puzzle: Puzzle) -> Text:
 
 
 def verify() -> Table:
-    """Check every set: its file is the published one, and each witness solves its puzzle in the world as it is here.
+    """Check that each set is the published file, and that each witness solves its puzzle on this machine.
 
     Raises:
-        PuzzleError: naming the file or the puzzles that fail.
+        PuzzleError: if a check fails; names the file or the puzzles.
     """
     published, actual = published_digests(), actual_digests()
     if wrong := [name for name, digest in published.items() if actual.get(name) != digest]:
@@ -98,7 +98,7 @@ def verify() -> Table:
         pairs = list(zip(puzzles_of(task, split), witnesses_of(task, split), strict=True))
         failed = [puzzle_id(task, split, i) for i, (p, w) in enumerate(pairs) if not solves(world, p, w.actions)]
         if failed:
-            raise PuzzleError(f"{len(failed)} witnesses fail, the first is {failed[0]}: the physics here is another")
+            raise PuzzleError(f"{len(failed)} witnesses fail, the first is {failed[0]}: the physics differs here")
         names = set_name(task, split), witness_name(task, split)
         table.add_row(f"{task} {split}", f"{len(pairs)}/{len(pairs)}", *(published[name][:12] for name in names))
     return table

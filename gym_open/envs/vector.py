@@ -1,7 +1,7 @@
-"""Many puzzles at once over one model: threads, not processes, and no message between them.
+"""A vector environment: many worlds over one model, in threads instead of processes, without messages between them.
 
-A thread takes a few worlds at a time, and steps and draws them in one compiled call. Which thread takes which is a
-matter of timing; what comes out is not, since no world touches another.
+A thread takes a few worlds at a time, and steps and draws them in one compiled call. Timing decides which thread takes
+which worlds. The result does not depend on timing, because no world depends on another.
 """
 
 import operator
@@ -25,32 +25,31 @@ from gym_open.envs.puzzles.generators import SandboxConfig
 from gym_open.errors import UsageError
 
 _TURNS = 4
-"""Times that a thread comes back for more worlds in a step: more share the work out better, fewer cost less."""
+"""Portions of worlds per thread and step: more portions balance the work better, fewer have less overhead."""
 
 
 class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
-    """N environments, each with its own puzzle, bit for bit as N `OpenEnv` in a `SyncVectorEnv` with the same seeds.
+    """N environments, each with its own puzzle: the same bits as N `OpenEnv` in a `SyncVectorEnv` with equal seeds.
 
-    Infos are in Gymnasium's vector form. `options={"puzzles": [...]}` of `reset` gives each world its own puzzle.
+    Infos have Gymnasium's vector form. `reset(options={"puzzles": [...]})` gives each world its own puzzle.
 
     Args:
-        num_envs: how many.
-        task: as `OpenEnv`'s, and so are the next eight arguments.
-        sandbox: see there.
-        world: see there.
-        observation: see there.
-        rewards: see there.
-        render_mode: see there.
-        render_look: see there.
-        render_size: see there.
-        max_episode_steps: see there.
-        autoreset_mode: what follows the end of an episode, see Gymnasium's `AutoresetMode`.
-        copy: whether what `reset` and `step` return is the caller's to keep. Without it, the same arrays are written
-            again in the next step, and no new ones are made.
-        threads: that step worlds, the caller's among them; None takes as many as this process has cores.
+        num_envs: number of worlds.
+        task: see `OpenEnv`.
+        sandbox: see `OpenEnv`.
+        world: see `OpenEnv`.
+        observation: see `OpenEnv`.
+        rewards: see `OpenEnv`.
+        render_mode: see `OpenEnv`.
+        render_look: see `OpenEnv`.
+        render_size: see `OpenEnv`.
+        max_episode_steps: see `OpenEnv`.
+        autoreset_mode: Gymnasium's `AutoresetMode`: what happens after the end of an episode.
+        copy: whether `reset` and `step` return new arrays. If False, the next step overwrites the returned arrays.
+        threads: number of threads that step worlds, with the caller's thread; None means one per usable core.
 
     Raises:
-        UsageError: if an argument is out of its bounds or none of its choices.
+        UsageError: if an argument is out of bounds or not one of its choices.
     """
 
     def __init__(
@@ -113,16 +112,16 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode in every world.
+        """Start an episode in each world.
 
         Args:
-            seed: of the first world, the others count on from it; or a list of one for each.
-            options: `reset_mask`, (N,) bool: which worlds are reset; `puzzles`: one for each world; others go to each
-                world's own `reset`.
+            seed: seed of the first world, and each further world has the next integer; or a list with one per world.
+            options: `reset_mask`, (N,) bool: the worlds to reset; `puzzles`: one per world. All other options are
+                passed to each world's `reset`.
 
         Raises:
-            ValueError: if there is not one seed, or puzzle, or place in the mask for each world.
-            ResetNeeded: if the first reset leaves a world out.
+            ValueError: if seeds, puzzles or mask do not have one entry per world.
+            ResetNeeded: if the first reset does not reset all worlds.
             PuzzleError: if an option is refused.
             ClosedEnvironmentError: after `close`.
         """
@@ -148,42 +147,42 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         self._in_threads(work)
         self._begun = True
         self._terminations[mask], self._truncations[mask] = False, False
-        return self._seen(), self._told(mask)
+        return self._all_observations(), self._all_infos(mask)
 
     def step(self, actions: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Act once in every world, (N,) whole numbers; what became of an ended episode's world says `autoreset_mode`.
+        """Take one step in each world, by (N,) integers. `autoreset_mode` decides what happens to finished worlds.
 
         Raises:
-            ValueError: if the actions have another shape, are no whole numbers, or one is none of 0–8.
-            ResetNeeded: before the first `reset`, or if a world has ended that nobody reset.
+            ValueError: if the actions have another shape, are not integers, or are not all from 0 to 8.
+            ResetNeeded: before the first `reset`, or if an ended world was not reset.
             ClosedEnvironmentError: after `close`.
         """
         self._actions[:] = self._checked(actions)
         if self.autoreset_mode == AutoresetMode.NEXT_STEP:
             self._actions[self._ended()] = -1
         self._in_threads(self._play)
-        infos = self._told(self._everyone)
+        infos = self._all_infos(self._everyone)
         if self.autoreset_mode == AutoresetMode.SAME_STEP:
             for i in (self._terminations | self._truncations).nonzero()[0].tolist():
                 observation, info = self._last[i] or (None, {})
                 infos = self._add_info(infos, {"final_obs": observation, "final_info": info}, i)
         rewards, terminations = self._kept(self._rewards), self._kept(self._terminations)
-        return self._seen(), rewards, terminations, self._kept(self._truncations), infos
+        return self._all_observations(), rewards, terminations, self._kept(self._truncations), infos
 
     def render(self) -> tuple[np.ndarray | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Each world's `render`."""
+        """The result of `render` of each world."""
         return tuple(env.render() for env in self.envs)
 
     def close_extras(self, **_: Any) -> None:
         """End the threads and close the worlds."""
         if not hasattr(self, "_pool"):
-            return  # what was never made, since its arguments were refused, Gymnasium 1.2 closes, too
+            return  # Gymnasium 1.2 also closes an object whose constructor raised
         self._pool.shutdown()
         for env in self.envs:
             env.close()
 
     def _play(self, first: int, last: int) -> None:
-        """Act in some of the worlds; who has a negative action begins anew instead."""
+        """Step some of the worlds; worlds with a negative action are reset instead."""
         self._fleet.play(first, last, self._actions, self._images)
         for i in range(first, last):
             if self._actions[i] < 0:
@@ -204,7 +203,7 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         env = self.envs[i]
         env.begin(seed, options)
         env.world.observe(self._images[i])
-        env.world.object_state()  # also writes it on the board
+        env.world.object_state()  # also writes it to the board
         self._note(i, env.puzzle.digest, env.world.advance(0))
 
     def _note(self, i: int, digest: str, outcome: StepOutcome) -> None:
@@ -213,8 +212,8 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         infos["contacts"][i], infos["hits"][i] = outcome.contacts, outcome.hits
         infos["in_danger"][i] = outcome.in_danger
 
-    def _told(self, mask: np.ndarray) -> dict[str, Any]:
-        """All worlds' infos; `mask` says whose are news."""
+    def _all_infos(self, mask: np.ndarray) -> dict[str, Any]:
+        """Infos of all worlds; `mask` marks the worlds whose infos are new."""
         self._infos["object_state"][:] = self._fleet.boards["states"]
         infos: dict[str, Any] = {}
         for name, values in self._infos.items():
@@ -222,7 +221,7 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         return infos
 
     def _ended(self) -> np.ndarray:
-        """(N,) whose episode is over: the environments know, also after one was restored."""
+        """(N,) whether each episode has ended. The environments know it, also after a `restore`."""
         return np.array([env.ended for env in self.envs])
 
     def _kept(self, values: Any) -> Any:
@@ -230,8 +229,8 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
             return values
         return {name: array.copy() for name, array in values.items()} if isinstance(values, dict) else values.copy()
 
-    def _seen(self) -> Any:
-        """All worlds' observations; the images are there already."""
+    def _all_observations(self) -> Any:
+        """Observations of all worlds; the images are already written."""
         if isinstance(self._observations, dict):
             for i, env in enumerate(self.envs):
                 self._present[i] = env.world.present
@@ -240,11 +239,11 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         return self._kept(self._observations)
 
     def _in_threads(self, work: Callable[[int, int], None]) -> None:
-        """Do the work of all worlds, some at a time, on all threads, and wait for it."""
+        """Call `work` for all worlds, one portion at a time, on all threads, and wait for the end."""
         shares = iter(self._shares)
 
         def run() -> None:
-            for first, last in shares:  # the next one's turn is whoever asks first
+            for first, last in shares:  # the next free thread takes the next portion
                 work(first, last)
 
         others = [self._pool.submit(run) for _ in range(self._threads - 1)]
@@ -276,7 +275,7 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
 
 
 def _cores() -> int:
-    """Cores that this process may use."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

@@ -1,1 +1,1 @@
-"""The table as MuJoCo moves it: model, contacts, meshes, and a step in compiled code."""
+"""The physics of a world: MuJoCo model, contacts, meshes, and a step in compiled code."""

@@ -1,8 +1,8 @@
-"""Contact settings that give a bounciness.
+"""Contact settings that result in a given bounciness.
 
-MuJoCo's contact is a spring with a brake, which pushes and never pulls. What is left of the closing speed follows from
-its damping ratio, from the timestep, and from where between two substeps the contact begins; the settings are chosen
-such that the mean over the latter is the bounciness asked for.
+MuJoCo's contact is a spring with a damper that pushes and never pulls. The share of the closing speed that is left
+depends on the damping ratio, on the timestep, and on the phase between two substeps at which the contact begins. The
+settings are chosen so that the mean over all phases is the requested bounciness.
 """
 
 import functools
@@ -10,14 +10,14 @@ import functools
 import numpy as np
 
 _STIFFNESS = 40_000.0
-"""1/s². Much stiffer, a contact that begins late in a substep gives back more speed than came in."""
+"""1/s². With a much stiffer spring, a contact that begins late in a substep would add speed."""
 _MOST_BRAKE = 200.0
-"""1/s, for the same reason; what bounces less than this allows is softer instead."""
+"""1/s, for the same reason. A bounciness that needs a stronger damper gets a softer spring instead."""
 _PHASES = (np.arange(32) + 0.5) / 32
 
 
 def contact_reference(bounciness: float, timestep_s: float) -> str:
-    """MuJoCo's `solref` of contacts that leave this fraction of the closing speed, on average over phases."""
+    """MuJoCo's `solref` of contacts that leave this fraction of the closing speed, as the mean over phases."""
     stiffness, brake = _settings(_damping_ratio(bounciness, timestep_s))
     return f"{-stiffness:.6g} {-brake:.4g}"
 
@@ -38,12 +38,12 @@ def _settings(damping_ratio: float) -> tuple[float, float]:
 
 
 def restitution(stiffness: float, brake: float, timestep_s: float) -> np.ndarray:
-    """(32,) speed apart over speed together of a contact, for each phase at which it begins within a substep.
+    """(32,) ratio of separating to closing speed, for each phase within a substep at which the contact begins.
 
     Args:
         stiffness: acceleration per depth, 1/s².
         brake: acceleration per speed, 1/s.
-        timestep_s: of the integration, which advances speed, then depth.
+        timestep_s: timestep of the integration, which advances first speed, then depth.
     """
     speed = np.ones_like(_PHASES)
     depth = _PHASES * timestep_s

@@ -1,4 +1,4 @@
-"""What touched what during a step."""
+"""Contacts during a step."""
 
 import msgspec
 import mujoco
@@ -8,13 +8,13 @@ GROUND = -1
 
 
 class Contact(msgspec.Struct, frozen=True):
-    """Two things that touched during a step."""
+    """A contact between two things during a step."""
 
     a: str
     b: str
     """Names of inventory objects, or of pieces of scenery such as `wall_east`."""
     position: tuple[float, float, float]
-    """Where, in metres: the mean over the step, weighted by impulse."""
+    """Mean position in metres over the step, weighted by impulse."""
     normal: tuple[float, float, float]
     """Unit vector from a to b."""
     impulse: float
@@ -22,9 +22,9 @@ class Contact(msgspec.Struct, frozen=True):
 
 
 def things_of(model: mujoco.MjModel) -> np.ndarray:
-    """(ngeom,) int32: the geom that stands for the thing that a geom belongs to; `GROUND` for the ground.
+    """(ngeom,) int32: for each geom, the id of the thing that it belongs to; `GROUND` for the ground.
 
-    A moving body is one thing, which its first geom stands for; of all else each geom is one.
+    A moving body is one thing, with its first geom's id. Every other geom is a thing of its own.
     """
     things = np.arange(model.ngeom, dtype=np.int32)
     moving = np.isin(model.geom_bodyid, model.jnt_bodyid)
@@ -34,7 +34,7 @@ def things_of(model: mujoco.MjModel) -> np.ndarray:
 
 
 def thing_names(model: mujoco.MjModel) -> list[str]:
-    """What a contact calls the thing that each geom (ngeom) stands for."""
+    """Name in contacts of each geom's thing, (ngeom)."""
     moving = set(model.jnt_bodyid.tolist())
     return [
         model.body(body).name if body in moving else model.geom(geom).name
@@ -43,7 +43,7 @@ def thing_names(model: mujoco.MjModel) -> list[str]:
 
 
 def contacts_of(names: list[str], pairs: np.ndarray, sums: np.ndarray) -> tuple[Contact, ...]:
-    """The contacts between things (n, 2), with their impulses, positions and normals (n, 7 or more)."""
+    """Build contacts from pairs of things (n, 2) and their impulses, positions and normals (n, 7 or more)."""
     return tuple(
         Contact(names[a], names[b], (row[1], row[2], row[3]), (row[4], row[5], row[6]), row[0])
         for (a, b), row in zip(pairs.tolist(), sums.tolist(), strict=True)

@@ -1,7 +1,7 @@
-"""Meshes of the user's own: read, cut into convex pieces, and laid down as they come to rest.
+"""The user's meshes: read them, cut them into convex pieces, and lay them down at rest.
 
-MuJoCo collides meshes as their convex hulls, which would fill the hole of a ring and the notch of an L. So the shape is
-cut into convex pieces (CoACD, with a fixed seed) that are touched, while the mesh itself is seen.
+In collisions, MuJoCo replaces a mesh by its convex hull, which fills the hole of a ring and the notch of an L. So the
+shape is cut into convex pieces (CoACD, with a fixed seed). The pieces collide; the mesh itself is visible.
 """
 
 import functools
@@ -25,31 +25,31 @@ _GREY: Colour = (160, 160, 160)
 
 
 class MeshError(GymOpenError):
-    """A user's mesh is missing, unreadable, or does not fit the table."""
+    """A user's mesh is missing or unreadable, or does not fit the table."""
 
 
 class MeshShape(NamedTuple):
-    """A mesh ready for the model, in metres, around the middle of its box as it lies at rest; z up."""
+    """A mesh at rest, ready for the model: in metres, z up, with the middle of its bounding box at the origin."""
 
     vertices: np.ndarray
     """(V, 3)."""
     faces: np.ndarray
-    """(F, 3) int: corners, counter-clockwise seen from outside."""
+    """(F, 3) int: corners, counter-clockwise when viewed from outside."""
     pieces: tuple[np.ndarray, ...]
-    """(P, 3) corners of each convex piece."""
+    """Corners (P, 3) of each convex piece."""
     shares: tuple[float, ...]
     """Each piece's share of the mass."""
     extents: np.ndarray
-    """(3,) edges of the box around the pieces."""
+    """(3,) edges of the bounding box of all pieces."""
     colour: Colour
-    """The file's main colour."""
+    """Main colour in the file."""
 
 
 def mesh_shape(mesh: MeshObject) -> MeshShape:
-    """The shape of a mesh object; cut and laid down once for each content and scale in a process.
+    """The shape of a mesh object. A process computes it once per file content and scale.
 
     Raises:
-        MeshError: if the file is missing, is no mesh or no closed one, has too many faces, or does not fit a cell.
+        MeshError: if the file is missing or not a closed mesh, has too many faces, or does not fit a cell.
     """
     path = Path(mesh.file)
     kind = path.suffix.lstrip(".").lower()
@@ -87,12 +87,12 @@ def _shape(kind: str, content: bytes, scale: float) -> MeshShape:
 
 
 def _read(kind: str, content: bytes) -> tuple[trimesh.Trimesh, Colour]:
-    """The closed mesh, z up, and its main colour."""
+    """Read a closed mesh, z up, and its main colour."""
     try:
         scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, process=False)
         placed = [scene.graph[node] for node in sorted(scene.graph.nodes_geometry)]
         parts = [(scene.geometry[name], turn) for turn, name in placed]
-    except Exception as error:  # each format's reader raises its own
+    except Exception as error:  # each format's reader raises other errors
         raise MeshError(f"not a {kind.upper()} mesh ({error})") from None
     parts = [(part, turn) for part, turn in parts if isinstance(part, trimesh.Trimesh)]
     if sum(len(part.faces) for part, _ in parts) < 4 or not all(np.isfinite(part.vertices).all() for part, _ in parts):
@@ -100,7 +100,7 @@ def _read(kind: str, content: bytes) -> tuple[trimesh.Trimesh, Colour]:
     mesh = _joined(parts)
     if len(mesh.faces) > MOST_FACES:
         raise MeshError(f"{len(mesh.faces)} faces, at most {MOST_FACES} can be drawn; simplify it")
-    if kind == "glb":  # glTF's y points up
+    if kind == "glb":  # in glTF, y points up
         mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0)))
     if not (mesh.is_watertight and mesh.is_winding_consistent):
         raise MeshError("not watertight, or its faces look both ways: it has no inside; close it in a mesh editor")
@@ -110,7 +110,7 @@ def _read(kind: str, content: bytes) -> tuple[trimesh.Trimesh, Colour]:
 
 
 def _joined(parts: list[tuple[trimesh.Trimesh, np.ndarray]]) -> trimesh.Trimesh:
-    """All parts where they are placed; corners at one place, which many formats repeat for each face, made one."""
+    """Join all parts, and merge corners at equal positions, which many formats repeat for each face."""
     corners, faces, count = [], [], 0
     for part, turn in parts:
         corners.append(trimesh.transform_points(part.vertices, turn))
@@ -132,13 +132,13 @@ def _check_size(extents: np.ndarray, scale: float) -> None:
 
 
 def _convex_pieces(mesh: trimesh.Trimesh, vertices: np.ndarray) -> list[trimesh.Trimesh]:
-    """Convex pieces that together fill the mesh."""
+    """Cut the mesh into convex pieces."""
     coacd.set_log_level("error")
     shells = [trimesh.Trimesh(vertices, faces) for faces in _shells(mesh)]
-    if any(shell.volume <= 0 for shell in shells):  # one is a cavity in another
+    if any(shell.volume <= 0 for shell in shells):  # a shell is a cavity in another shell
         shells = [trimesh.Trimesh(vertices, mesh.faces)]
     cut: list[tuple[np.ndarray, np.ndarray]] = []
-    for shell in shells:  # on its own: shells that overlap keep CoACD busy for ever
+    for shell in shells:  # separately: CoACD never ends on overlapping shells
         part = coacd.Mesh(shell.vertices, shell.faces)
         cut += coacd.run_coacd(part, threshold=0.05, max_ch_vertex=64, preprocess_mode="off", seed=0)
     return [trimesh.Trimesh(points, faces) for points, faces in cut]
@@ -156,7 +156,7 @@ def _shells(mesh: trimesh.Trimesh) -> list[np.ndarray]:
 
 
 def _turn_at_rest(pieces: list[np.ndarray]) -> np.ndarray:
-    """Rotation (3, 3) in which the pieces lie on the table after they were put down as the file has them."""
+    """Rotation (3, 3) at rest, after the pieces were put on the table in the file's orientation."""
     lowest = min(float(points[:, 2].min()) for points in pieces)
     names = [f"piece_{i}" for i in range(len(pieces))]
     assets = "".join(f'<mesh name="{n}" vertex="{text(p.ravel())}"/>' for n, p in zip(names, pieces, strict=True))
@@ -176,7 +176,7 @@ def _turn_at_rest(pieces: list[np.ndarray]) -> np.ndarray:
 
 
 def _main_colour(mesh: trimesh.Trimesh) -> Colour:
-    visual: Any = mesh.visual  # of one class or another, by what the file has
+    visual: Any = mesh.visual  # its class depends on the file
     if visual.kind == "texture":
         visual = visual.to_color()
     if not visual.defined:

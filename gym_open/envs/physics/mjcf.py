@@ -1,4 +1,4 @@
-"""Words of MJCF, MuJoCo's XML."""
+"""Fragments of MJCF, MuJoCo's XML format."""
 
 from collections.abc import Iterable
 
@@ -15,7 +15,7 @@ def box(
     euler: Iterable[float] = (0, 0, 0),
     solref: str = "",
 ) -> str:
-    """A box of scenery, of half edges `half`, in the class `kind`."""
+    """A box of scenery with half edges `half`, in the class `kind`."""
     extra = f' solref="{solref}"' if solref else ""
     return (
         f'<geom name="{name}" class="{kind}" type="box" pos="{text(place)}" size="{text(half)}" '
@@ -24,15 +24,15 @@ def box(
 
 
 def rgba(colour: tuple[int, int, int]) -> str:
-    """A colour of 0–255 as MuJoCo writes it."""
+    """A colour of 0–255 in MJCF."""
     return text([*(value / 255 for value in colour), 1])
 
 
 def text(values: Iterable[float]) -> str:
-    """Numbers, exact to nine digits."""
+    """Numbers as text, exact to nine digits."""
     return " ".join(f"{float(value):.9g}" for value in values)
 
 
 def indented(lines: list[str], levels: int = 1) -> list[str]:
-    """The lines, further to the right."""
+    """The lines, indented by `levels`."""
     return ["  " * levels + line for line in lines]

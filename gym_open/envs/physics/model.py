@@ -1,7 +1,7 @@
 """The MuJoCo model of a world: table, walls, an inventory of objects, and pieces that a puzzle moves into place.
 
-Objects that a puzzle does not use are parked asleep on the same ground, behind the camera; pen, ramp and danger patch
-are mocap bodies, parked there as well. Contact settings and their reasons are in docs/environment.md.
+Objects that a puzzle does not use are parked behind the camera, asleep on the same ground. Pen, ramp and danger patch
+are mocap bodies, which are parked there too. docs/environment.md explains the contact settings.
 """
 
 import functools
@@ -21,14 +21,14 @@ from gym_open.envs.physics.mjcf import indented, rgba, text
 
 SPHERES = ("agent", "yellow", "green", "push")
 
-# Friction brakes a sliding body no harder than b·speed. Harder, MuJoCo's convex friction makes fast cubes hop.
+# Friction decelerates a sliding body by at most b · speed. With more, MuJoCo's convex friction makes fast cubes hop.
 _BRAKE = "-1 -10"
-# Time constant and damping ratio on the ground. Quicker, the edge of a tumbling cube bounces with more than it had.
+# Time constant and damping ratio on the ground. A shorter one adds energy when the edge of a tumbling cube bounces.
 _LANDING = "0.02 1"
 _FIRM = "0.99 0.99 0.001"
 _ROLLING = 0.003
 _LID = c.LID_HEIGHT / (2 * c.RADIUS)
-"""Height of the lid over the size of the largest thing under it: a cube can just turn over."""
+"""Ratio of the lid's height to the size of the largest object under it: a cube can just turn over."""
 
 
 def inventory(options: WorldOptions) -> tuple[str, ...]:
@@ -52,7 +52,7 @@ INVENTORY: tuple[str, ...] = inventory(WorldOptions())
 
 
 def build_model(options: WorldOptions) -> mujoco.MjModel:
-    """The compiled model, shared by all worlds with these options, which never change it.
+    """The compiled model. All worlds with these options share it, and never change it.
 
     Raises:
         MeshError: if a user's mesh cannot be used.
@@ -66,7 +66,7 @@ def _compiled(text_of_model: str) -> mujoco.MjModel:
 
 
 def model_xml(options: WorldOptions | None = None) -> str:
-    """The model as MJCF text: with it alone, a logged trajectory can be replayed without this package.
+    """The model as MJCF text. It is enough to replay a logged trajectory without this package.
 
     Raises:
         MeshError: if a user's mesh cannot be used.
@@ -125,20 +125,20 @@ xyaxes="{text(c.camera_axes(camera.direction)[:2].ravel())}" fovy="{camera.field
 
 
 class _ObjectKind(NamedTuple):
-    """What all objects of one kind have in common."""
+    """Properties of all objects of one kind."""
 
     mass: float
     friction: float
     bounciness: float
     rolls: bool
     size: float
-    """Greatest extent, or for a rectangle the height."""
+    """Greatest extent; for a rectangle, the height."""
     height: float
-    """Of the body's origin above the table, at rest."""
+    """Height of the body's origin above the table, at rest."""
     seen: str
-    """Attributes of the geom that is seen, and touched too if there are no `parts`."""
+    """Attributes of the visible geom, which also collides if there are no `parts`."""
     parts: tuple[tuple[str, float], ...] = ()
-    """Attributes and mass of the geoms that are touched instead of the one that is seen."""
+    """Attributes and mass of the geoms that collide instead of the visible geom."""
     assets: tuple[str, ...] = ()
 
 
@@ -175,7 +175,7 @@ def _built_in(kind: str, options: WorldOptions) -> _ObjectKind:
 
 def _mesh_kind(mesh: MeshObject) -> _ObjectKind:
     extras.check("meshes")
-    from gym_open.envs.physics.meshes import mesh_shape  # loads libraries that few worlds need
+    from gym_open.envs.physics.meshes import mesh_shape  # loads large libraries that few worlds need
 
     shape = mesh_shape(mesh)
     pieces = [f"{mesh.kind}/{i}" for i in range(len(shape.pieces))]
@@ -202,14 +202,14 @@ def _mesh_kind(mesh: MeshObject) -> _ObjectKind:
 
 
 def _cone(half: float) -> np.ndarray:
-    """(25, 3) metres: a cone's base and tip around the middle of its height, so that it rests as high as a cube."""
+    """(25, 3) metres: base and tip of a cone around the middle of its height; at rest it is as high as a cube."""
     angles = np.linspace(0, 2 * np.pi, 24, endpoint=False).tolist()
     base = [(math.cos(angle), math.sin(angle), -1.0) for angle in angles]
     return half * np.array([*base, (0.0, 0.0, 1.0)])
 
 
 def _touched(name: str, kind: _ObjectKind) -> list[str]:
-    """Names of the geoms that an object touches others with."""
+    """Names of the geoms with which an object collides."""
     return [f"{name}/{i}" for i in range(len(kind.parts))] or [name]
 
 
@@ -236,9 +236,9 @@ def _objects(options: WorldOptions, kinds: dict[str, _ObjectKind]) -> list[str]:
 
 
 def _pairs(options: WorldOptions, kinds: dict[str, _ObjectKind]) -> list[str]:
-    """Contacts with settings of their own: friction acts with the ground alone, so that nothing climbs on another.
+    """Contacts with special settings: only the ground has friction, so that no object climbs on another.
 
-    The agent glides, spheres roll and come to rest, all else slides.
+    The agent glides, other spheres roll until they stop, and all other objects slide.
     """
     still = f'solref="{scenery.NO_BOUNCE}" solimp="{_FIRM}"'
     lines = [f'<pair geom1="{name}" geom2="agent" condim="1" {still}/>' for name in ("ramp_slope", "ramp_platform")]
@@ -255,7 +255,7 @@ def _pairs(options: WorldOptions, kinds: dict[str, _ObjectKind]) -> list[str]:
 
 
 def _bounces(options: WorldOptions, kinds: dict[str, _ObjectKind]) -> list[str]:
-    """Pairs for what bounces otherwise than v1: MuJoCo itself takes the less bouncy of two, not their mean."""
+    """Pairs whose bounciness differs from v1: MuJoCo itself takes the smaller of two values, not their mean."""
     if all(kind.bounciness == c.BOUNCINESS for kind in kinds.values()):
         return []
     names = inventory(options)

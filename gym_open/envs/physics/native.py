@@ -1,11 +1,11 @@
-"""MuJoCo from within compiled code: where `mj_step` is, where a struct's fields lie, and reading memory by address.
+"""Call MuJoCo from compiled code: the address of `mj_step`, the offsets of struct fields, and memory access by address.
 
-A step is many substeps, and between two calls from Python other threads wait for the interpreter lock; compiled code
-that calls `mj_step` itself never asks for it. `mujoco.introspect` lists the structs' fields, ctypes lays them out as C
-does, and `layout` holds the result to MuJoCo's own Python views once a process.
+A step is many substeps. If Python called each of them, threads would wait for the interpreter lock; compiled code that
+calls `mj_step` never needs the lock. `mujoco.introspect` lists the fields of structs, ctypes lays them out as C does,
+and `layout` compares the result with MuJoCo's Python views once per process.
 
-What MuJoCo itself calls a fatal error ends the process here, where its Python functions would raise: it has run out of
-the memory for contacts, of which random play uses a twenty-fifth.
+A fatal error of MuJoCo ends the process here, whereas MuJoCo's Python functions would raise. It happens when the memory
+for contacts is full; random exploration uses 1/25 of that memory.
 """
 
 import ctypes
@@ -43,22 +43,22 @@ _NUMBERS = {
 
 
 class LayoutError(GymOpenError):
-    """The installed MuJoCo lays out its data in another way than it says."""
+    """The memory layout of the installed MuJoCo differs from its own description."""
 
 
 class Layout(NamedTuple):
-    """Offsets in bytes of what a step reads, and addresses of functions; numba takes it as it is."""
+    """Offsets in bytes of the fields that a step reads, and addresses of functions; compiled code takes this tuple."""
 
     mj_step: int
-    mju_rotVecQuat: int  # noqa: N815  # its name
+    mju_rotVecQuat: int  # noqa: N815  # the name in MuJoCo
     ncon: int
-    """In mjData, as are the next two."""
+    """Offset in mjData, like the next two."""
     contact: int
     efc_force: int
     contact_size: int
-    """Bytes of one mjContact."""
+    """Size of one mjContact in bytes."""
     pos: int
-    """In mjContact, as are the next three."""
+    """Offset in mjContact, like the next three."""
     frame: int
     geom: int
     efc_address: int
@@ -66,7 +66,7 @@ class Layout(NamedTuple):
 
 @functools.cache
 def layout() -> Layout:
-    """Find the offsets, and hold them to the Python views of a box on a plane.
+    """Find the offsets, and compare them with the Python views of a box on a plane.
 
     Raises:
         LayoutError: if they disagree.
@@ -107,7 +107,7 @@ def _type(structs: Mapping[str, Any], declared: Any) -> Any:
 
 
 def _address_of(function: str) -> int:
-    # The bindings are linked to the one libmujoco of this process: look the name up through them.
+    # The bindings are linked to the only libmujoco of this process, so they find the name.
     from mujoco import _functions
 
     library = ctypes.CDLL(_functions.__file__)
@@ -135,13 +135,13 @@ def check(found: Layout) -> None:
     ):
         if read != view:
             raise LayoutError(
-                f"mujoco {mujoco.__version__}: {what}: expected {view}, found {read}: its data is laid out in another "
-                f"way than mujoco.introspect says; install the version of mujoco that gym-open names"
+                f"mujoco {mujoco.__version__}: {what}: expected {view}, found {read}: its memory layout is "
+                f"not the one in mujoco.introspect; install the version of mujoco that gym-open requires"
             )
 
 
 def address(view: np.ndarray) -> int:
-    """Where an array begins."""
+    """Memory address of an array's first element."""
     return view.__array_interface__["data"][0]
 
 
@@ -171,8 +171,8 @@ def _call3(_: Any, _function: Any, _first: Any, _second: Any, _third: Any) -> An
 
 
 pointer = cast("Callable[[int], Any]", intrinsic(_pointer))
-"""In compiled code: an address as a pointer, which `carray` makes an array of."""
+"""In compiled code: an address as a pointer, from which `carray` makes an array."""
 call2 = cast("Callable[[Any, Any, Any], None]", intrinsic(_call2))
-"""In compiled code: call the C function at an address with two pointers, given as addresses."""
+"""In compiled code: call the C function at an address with two pointers, both given as addresses."""
 call3 = cast("Callable[[Any, Any, Any, Any], None]", intrinsic(_call3))
-"""The same with three pointers."""
+"""As `call2`, with three pointers."""

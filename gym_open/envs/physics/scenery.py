@@ -1,4 +1,4 @@
-"""What the model has besides its movable objects: table, walls, and the pieces that a puzzle moves into place."""
+"""The model without its movable objects: table, walls, and the pieces that a puzzle moves into place."""
 
 import math
 
@@ -9,13 +9,13 @@ from gym_open.envs.physics.mjcf import box, indented, text
 from gym_open.envs.puzzles import Side
 
 PARKING_Y = -30.0
-"""Parked things stand beyond this y, far behind the camera and out of the table's reach."""
+"""Parked objects have smaller y than this, far behind the camera and away from the table."""
 
 PIECES = ("pen", "ramp", "patch", "lid")
 """Mocap bodies, in this order."""
 
 NO_BOUNCE = "0.01 1"
-"""Reference of a contact that takes all speed away; see `model`."""
+"""`solref` of a contact that removes all closing speed; see `model`."""
 
 UNTURNED = (1.0, 0.0, 0.0, 0.0)
 RAMP_TURNS: dict[Side, tuple[float, float, float, float]] = {
@@ -24,27 +24,27 @@ RAMP_TURNS: dict[Side, tuple[float, float, float, float]] = {
     "south": (0.7071067811865476, 0.0, 0.0, -0.7071067811865475),
     "west": (6.123233995736766e-17, 0.0, 0.0, 1.0),
 }
-"""Quaternion of a ramp that leads to each side. To the last digit, since poses do not pass through the model's text."""
+"""Quaternion of a ramp that leads to each side, with all digits, because poses do not pass through MJCF text."""
 
 BOUNCING = (
     *("wall_east", "wall_west", "wall_north", "wall_south"),
     *("corner_north_east", "corner_north_west", "corner_south_east", "corner_south_west"),
     *("pen_east", "pen_west", "pen_north", "pen_south"),
 )
-"""Geoms that things bounce off."""
+"""Geoms from which objects bounce."""
 
 _CORNERS = (("north_east", 1, 1), ("north_west", -1, 1), ("south_east", 1, -1), ("south_west", -1, -1))
 _THICK = 0.5
-"""Half thickness of what is unseen."""
+"""Half thickness of invisible walls and lid."""
 
 
 def table() -> list[str]:
-    """The ground that things stand on, and the table, walls and floor as they are seen."""
+    """The ground under all objects, and the visible table, walls and floor."""
     high, thin = c.WALL_HEIGHT / 2, c.WALL_THICKNESS / 2
     x, y = c.WALL_X + thin, c.WALL_Y + thin
     edge_x, edge_y = c.WALL_X + c.WALL_THICKNESS, c.WALL_Y + c.WALL_THICKNESS
     lines = [
-        # An infinite plane holds things up; what is seen of it is a plate.
+        # An infinite plane supports all objects; a plate is visible instead.
         f'<geom name="ground" type="plane" size="0 0 1" class="scenery" group="4" solref="{NO_BOUNCE}"/>',
         box("floor", (0, 0, -c.TABLE_HEIGHT - 0.05), (15, 15, 0.05), "floor", kind="seen"),
         box("table", (0, 0, -0.02), (edge_x, edge_y, 0.02), "table", kind="seen"),
@@ -64,7 +64,7 @@ def table() -> list[str]:
 
 
 def keep_in() -> list[str]:
-    """What the walls are to touch: thick, and so high that nothing gets over them, flush with the visible ones."""
+    """The invisible walls that collide: thick, too high to cross, and flush with the visible walls."""
     high, thick = 1.0, _THICK
     x, y = c.WALL_X + thick, c.WALL_Y + thick
     lines = [
@@ -81,14 +81,14 @@ def keep_in() -> list[str]:
 
 
 def _corner_half_length() -> float:
-    """Half length of a corner piece whose inner face passes through `CORNER` and ends at both walls."""
+    """Half length of a corner piece with an inner face that passes through `CORNER` and ends at both walls."""
     return float(np.sqrt(2) * max(c.WALL_X - c.CORNER[0], c.WALL_Y - c.CORNER[1]))
 
 
 def pieces(lid_height: float) -> list[str]:
-    """Pen, ramp, patch and lid, each as one mocap body around its own centre; the ramp rises towards +x.
+    """Pen, ramp, patch and lid, each as one mocap body around its centre. The ramp rises towards +x.
 
-    The lid keeps all but the agent from coming to rest on one another; a puzzle with a stack lifts it.
+    The lid prevents objects, except the agent, from lying on one another. A puzzle with a stack lifts the lid.
     """
     half, thin, high = c.PEN_HALF, c.PEN_WALL_THICKNESS / 2, c.WALL_HEIGHT / 2
     pen = [
@@ -127,5 +127,5 @@ def pieces(lid_height: float) -> list[str]:
 
 
 def piece_at_rest(name: str) -> tuple[float, float, float]:
-    """Where a piece is that the puzzle does not use; the lid is always over the table."""
+    """Position of a piece that the puzzle does not use; the lid is always over the table."""
     return (0.0, 0.0, 0.0) if name == "lid" else (2.0 * PIECES.index(name), PARKING_Y - 5.0, 0.0)

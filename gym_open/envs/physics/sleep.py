@@ -1,20 +1,20 @@
-"""Setting which bodies sleep.
+"""Set which bodies sleep.
 
-MuJoCo keeps sleep in `tree_asleep`, which is no part of its saved state, and in lists that it derives from it but does
-not derive anew when `tree_asleep` is written. Both must be restored for a world to go on bit for bit.
+MuJoCo stores sleep in `tree_asleep`, which is not part of its saved state, and in lists derived from it. A write to
+`tree_asleep` does not update these lists. A world goes on bit for bit only if both are restored.
 """
 
 import mujoco
 import numpy as np
 
 AWAKE = -(1 + mujoco.mjMINAWAKE)
-"""What MuJoCo notes for a body that was just moved; it counts up to −1, then the body may sleep."""
+"""MuJoCo's value for a body that has just moved. It counts up to −1, then the body may sleep."""
 
 
 def set_asleep(model: mujoco.MjModel, data: mujoco.MjData, asleep: np.ndarray) -> None:
-    """Put trees of bodies to sleep, or wake them, as `asleep` (ntree,) says in MuJoCo's own code.
+    """Put trees of bodies to sleep or wake them; `asleep` (ntree,) has MuJoCo's own values.
 
-    Every derived quantity of the sleepers must be up to date, since MuJoCo leaves it alone from now on.
+    The derived quantities of sleeping bodies must be up to date, because MuJoCo no longer updates them.
     """
     data.tree_asleep[:] = asleep
     data.tree_awake[:] = asleep < 0

@@ -1,7 +1,7 @@
-"""A whole agent step, or some substeps, as one compiled call that never asks for the interpreter lock.
+"""One step, or some substeps, as one compiled call without the interpreter lock.
 
-Each world has a *board*: one record of plain numbers that compiled code reads and writes. The boards of many worlds can
-lie in one array, so that one call plays any of them (`fleet.py`).
+Each world has a *board*: a record of plain numbers that compiled code reads and writes. The boards of many worlds can
+be in one array, so that one call can step any of them (`fleet.py`).
 """
 
 from collections.abc import Sequence
@@ -20,67 +20,67 @@ from gym_open.envs.physics.native import Layout, address, call2, call3, layout, 
 from gym_open.envs.puzzles import GOALS
 
 _PAIRS = 256
-"""Pairs of things that can touch in one step: far more than the objects on a table do."""
+"""Largest number of pairs of things in contact during one step: far more than ever occur."""
 
 
 class StepOutcome(msgspec.Struct, frozen=True):
-    """What happened during a step."""
+    """Events during a step."""
 
     hits: tuple[str, ...]
-    """Goals that the agent touched for the first time, looked for at every substep."""
+    """Goals that the agent touched for the first time, checked at every substep."""
     in_danger: bool
     """Whether the agent was inside the danger patch at any substep."""
     contacts: tuple[Contact, ...]
-    """What touched what, contacts with the table top left out."""
+    """All contacts except those with the table top."""
 
 
 def new_boards(count: int, objects: int) -> np.ndarray:
-    """Boards (count,) of worlds whose model has that many movable objects."""
+    """Boards (count,) of worlds with `objects` movable objects each."""
     kind = [
         ("model", np.int64),  # address of mjModel
         ("data", np.int64),  # address of mjData
         ("qpos", np.int64),  # address of mjData's qpos
         ("qvel", np.int64),  # and of its qvel
-        ("danger", np.float64, 2),  # centre of the danger patch; NaN where there is none
-        ("counts", np.int32, 3),  # of the step: pairs that touched, new hits, whether in danger
-        ("hit_order", np.int32, objects),  # goals hit for the first time in the step, in their order
-        ("hit", np.uint8, objects),  # 1: this goal was hit since the puzzle was loaded
-        ("pairs", np.int32, (_PAIRS, 2)),  # things that touched, in the order in which they began
-        ("sums", np.float64, (_PAIRS, 8)),  # of each pair: impulse, mean position, normal, weight
+        ("danger", np.float64, 2),  # centre of the danger patch; NaN if there is none
+        ("counts", np.int32, 3),  # of the step: pairs in contact, new hits, whether in danger
+        ("hit_order", np.int32, objects),  # goals hit for the first time in the step, in order
+        ("hit", np.uint8, objects),  # 1: this goal was hit after the puzzle was loaded
+        ("pairs", np.int32, (_PAIRS, 2)),  # things in contact, in order of the first contact
+        ("sums", np.float64, (_PAIRS, 8)),  # per pair: impulse, mean position, normal, weight
         ("states", np.float64, (objects, 13)),  # `World.object_state`
     ]
     return np.zeros(count, np.dtype(kind, align=True))
 
 
 class StepConstants(NamedTuple):
-    """What all worlds of one model have in common, as compiled code takes it."""
+    """Constants of all worlds of one model, as an argument of compiled code."""
 
     layout: Layout
     timestep: float
     danger_half: float
-    """The agent is in danger while its centre is within ± this of the patch's."""
+    """The agent is in danger while its centre is within ± this distance of the patch's centre."""
     things: np.ndarray
-    """(ngeom,) int32: `things_of` the model."""
+    """(ngeom,) int32: result of `things_of`."""
     goals: np.ndarray
-    """(ngeom,) int32 of each thing: the object's number if it is a goal, else −1."""
+    """(ngeom,) int32: for each thing, the object's index if it is a goal, else −1."""
     agent: int
-    """The agent's thing."""
+    """Id of the agent's thing."""
 
 
 @compiled
 def play(  # noqa: PLR0917  # compiled code takes arguments by position
     boards: np.ndarray, index: int, push_x: float, push_y: float, substeps: int, stop: bool, constants: StepConstants
 ) -> None:
-    """Push the agent, let substeps pass, and stop it: standing still but falling on, so that it cannot fly.
+    """Push the agent, simulate substeps, and stop the agent. A falling agent keeps falling, so that it cannot fly.
 
     Args:
-        boards: of all worlds.
-        index: which of them is played.
-        push_x: change of the agent's velocity in m/s, as is `push_y`.
-        push_y: along y.
-        substeps: how many.
-        stop: whether the agent is stopped in the end.
-        constants: of the worlds' model.
+        boards: boards of all worlds.
+        index: index of the world to step.
+        push_x: change of the agent's velocity along x in m/s.
+        push_y: the same along y.
+        substeps: number of substeps.
+        stop: whether the agent is stopped after the last substep.
+        constants: constants of the worlds' model.
     """
     board = boards[index]
     agent = carray(pointer(board.qvel), 6, np.float64)
@@ -114,7 +114,7 @@ def read_states(boards: np.ndarray, index: int, constants: StepConstants) -> Non
     for i in range(n):
         states[i, :7] = poses[i]
         states[i, 7:] = speeds[i]
-        if speeds[i, 3] != 0 or speeds[i, 4] != 0 or speeds[i, 5] != 0:  # MuJoCo keeps it in the body's own frame
+        if speeds[i, 3] != 0 or speeds[i, 4] != 0 or speeds[i, 5] != 0:  # in MuJoCo it is in the body's frame
             out, speed, turn = start + 8 * (13 * i + 10), board.qvel + 8 * (6 * i + 3), board.qpos + 8 * (7 * i + 3)
             call3(constants.layout.mju_rotVecQuat, out, speed, turn)
 
@@ -127,7 +127,7 @@ def _in_danger(board: Any, half: float) -> bool:
 
 @compiled
 def _add_hit(board: Any, slot: int, hits: int, constants: StepConstants) -> int:
-    """A pair began to touch: note it if it is the agent and a goal, for the first time; return the number of hits."""
+    """If a new pair is the agent and a goal that was not hit before, add the hit; return the number of hits."""
     a, b = board.pairs[slot, 0], board.pairs[slot, 1]
     if constants.agent not in (a, b):
         return hits
@@ -141,7 +141,7 @@ def _add_hit(board: Any, slot: int, hits: int, constants: StepConstants) -> int:
 
 @compiled
 def _add_contacts(board: Any, count: int, constants: StepConstants) -> int:
-    """Add the contacts of the substep that was just taken to the pairs and sums; return how many pairs there are."""
+    """Add the contacts of the last substep to pairs and sums; return the number of pairs."""
     at, pairs, sums = constants.layout, board.pairs, board.sums
     touching = carray(pointer(board.data + at.ncon), 1, np.int32)[0]
     contacts = carray(pointer(board.data + at.contact), 1, np.int64)[0]
@@ -177,7 +177,7 @@ def _add_contacts(board: Any, count: int, constants: StepConstants) -> int:
 
 @compiled
 def _average(sums: np.ndarray, count: int) -> None:
-    """Make mean positions and unit normals of the weighted sums."""
+    """Turn the weighted sums into mean positions and unit normals."""
     for slot in range(count):
         i, j, k = sums[slot, 4], sums[slot, 5], sums[slot, 6]
         length = np.sqrt(i * i + j * j + k * k)
@@ -192,18 +192,18 @@ class Stepper:
     """Steps one world through its board."""
 
     hit: np.ndarray
-    """(n_objects,) bool: goals hit since `load`."""
+    """(n_objects,) bool: goals hit after `load`."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, objects: Sequence[str]) -> None:
         """Bind a board to a world's memory.
 
         Args:
             model: the world's model.
-            data: its data.
-            objects: names of the movable bodies, in the order of their joints; their kinds say which are goals.
+            data: the world's data.
+            objects: names of the movable bodies, in the order of their joints; their kinds determine the goals.
         """
         self._objects, self._names = tuple(objects), thing_names(model)
-        self._bound = model, data  # alive for as long as their addresses are used
+        self._bound = model, data  # kept alive while their addresses are used
         self.constants = _constants(model, objects)
         boards = new_boards(1, len(objects))
         board = boards[0]
@@ -214,11 +214,11 @@ class Stepper:
 
     @property
     def board(self) -> np.ndarray:
-        """The board (a record), to be copied."""
+        """The board (a record). Copy it; do not change it."""
         return self._boards[self._index]
 
     def move(self, boards: np.ndarray, index: int) -> None:
-        """Go on with another board, which holds what this one does."""
+        """Use another board, which must hold the same values."""
         self._boards, self._index = boards, index
         board = boards[index]
         self.hit = board["hit"].view(np.bool_)
@@ -226,22 +226,22 @@ class Stepper:
         self._pairs, self._sums, self._states = board["pairs"], board["sums"], board["states"]
 
     def load(self, danger: tuple[float, float] | None) -> None:
-        """A puzzle begins: no goal was hit; `danger` is the centre of its danger patch, if it has one."""
+        """Start a puzzle: no goal is hit; `danger` is the centre of its danger patch, if it has one."""
         self.hit[:] = False
         self._danger[:] = np.nan if danger is None else danger
 
     def step(self, push: tuple[float, float], substeps: int) -> StepOutcome:
-        """Change the agent's velocity by `push` (m/s), let substeps pass, and stop it."""
+        """Change the agent's velocity by `push` (m/s), simulate substeps, and stop the agent."""
         play(self._boards, self._index, push[0], push[1], substeps, True, self.constants)
         return self.outcome()
 
     def advance(self, substeps: int) -> StepOutcome:
-        """Let substeps pass, which may be none; nobody pushes or stops the agent."""
+        """Simulate zero or more substeps; nothing pushes or stops the agent."""
         play(self._boards, self._index, 0.0, 0.0, substeps, False, self.constants)
         return self.outcome()
 
     def outcome(self) -> StepOutcome:
-        """What happened in the last step, as Python objects."""
+        """The events of the last step, as Python objects."""
         touches, new_hits, danger = self._counts.tolist()
         hits = tuple(self._objects[i] for i in self._hit_order[:new_hits].tolist()) if new_hits else ()
         contacts = contacts_of(self._names, self._pairs[:touches], self._sums[:touches]) if touches else ()

@@ -1,7 +1,7 @@
 """Seeded generators of layouts, after the original's recipes.
 
-Every draw is finite: cells are drawn from lists of the cells that are still allowed, and a draw that runs into an empty
-list starts again, a fixed number of times.
+Every draw ends: cells are drawn from lists of the cells that are still allowed. If a list is empty, the draw starts
+again, a limited number of times.
 """
 
 from collections.abc import Iterable
@@ -37,22 +37,22 @@ from gym_open.envs.puzzles.puzzle import (
 from gym_open.envs.puzzles.sets import reserved_digests
 
 ATTEMPTS = 200
-"""Whole layouts tried before a request is called unsatisfiable."""
+"""Number of layouts tried before a request counts as unsatisfiable."""
 
 INTERIOR = tuple((i, j) for i in range(1, ROWS - 1) for j in range(1, COLUMNS - 1))
-"""Where objects may be placed: the border ring stays free."""
+"""Cells where objects may be placed: all except the outermost ring."""
 CENTRES = tuple((i, j) for i in range(3, 13) for j in range(3, 6))
-"""Where pens and danger patches may be centred."""
+"""Possible centre cells of pens and danger patches."""
 LINES = ((0, 2), (0, 3), (1, 2), (1, 3), (1, 4), (1, 5))
-"""Preferences: axis of the line (0 along a row, 1 along a column) and cells from the agent to either goal that fit."""
+"""For preferences: axis of the line (0: row, 1: column), and possible distances in cells from the agent to a goal."""
 
 
 COUNTED: tuple[Kind, ...] = tuple(kind for kind in KINDS if kind != "agent")
-"""Kinds that a sandbox world holds a number of."""
+"""Kinds with a count in a sandbox world."""
 
 
 class SandboxConfig(Config, frozen=True):
-    """What lies in a sandbox world. A pair is the smallest and the largest count, drawn uniformly."""
+    """The contents of a sandbox world. Each pair is the smallest and the largest count, drawn uniformly."""
 
     yellow: tuple[Count, Count] = (1, 2)
     """Yellow goal spheres."""
@@ -65,26 +65,26 @@ class SandboxConfig(Config, frozen=True):
     push: tuple[Count, Count] = (0, 0)
     """Push spheres."""
     rectangle: tuple[Count, Count] = (0, 0)
-    """Rectangles, lying along either axis."""
+    """Rectangles, along either axis."""
     cone: tuple[Count, Count] = (0, 0)
     """Cones."""
     stack: tuple[Count, Count] = (0, 0)
-    """Stacks of two light cubes, which are taken from those that the model holds."""
+    """Stacks of two light cubes. They count against the model's light cubes."""
     meshes: tuple[str, ...] = ()
-    """Names of the user's own meshes, one object each; the world must hold them (`WorldOptions.meshes`)."""
+    """Names of the user's meshes, one object each; the world must have them (`WorldOptions.meshes`)."""
     agent_cell: tuple[Row, Column] | None = None
-    """Where the agent starts; None draws it."""
+    """The agent's cell; None means a random cell."""
     yellow_cells: tuple[tuple[Row, Column], ...] = ()
-    """Where yellow goal spheres lie; the others are drawn."""
+    """Cells of yellow goal spheres; further spheres get random cells."""
     radius: PositiveInt = 3
-    """Goal spheres lie within this many cells of the agent, neither on its row nor on its column."""
+    """Largest distance in cells from the agent to goal spheres, which are never in its row or column."""
     pen_probability: Fraction = 0.25
-    """Share of worlds where the agent starts in a pen with a ramp."""
+    """Share of worlds in which the agent starts in a pen with a ramp."""
     patch_probability: Fraction = 0.25
     """Share of worlds with a danger patch."""
 
     def counts(self) -> dict[Kind, tuple[int, int]]:
-        """Smallest and largest count of each kind, in the order they are drawn."""
+        """Smallest and largest count of each kind, in the order of the draws."""
         return {kind: getattr(self, kind) for kind in COUNTED}
 
 
@@ -92,11 +92,11 @@ _DEFAULT_SANDBOX = SandboxConfig()
 
 
 class _NoRoomError(Exception):
-    """A draw ran out of allowed cells; the next attempt may not."""
+    """No allowed cell is left in this draw; another attempt may succeed."""
 
 
 class _Layout:
-    """A layout while it is being drawn: what stands where, and which cells are still allowed."""
+    """An unfinished layout: the objects so far, and the cells that are taken."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.rng = rng
@@ -137,7 +137,7 @@ class _Layout:
             self.place(kind, self.pick(self.free()))
 
     def beside_cubes(self) -> set[Cell]:
-        """Where no cube may stand: never beside another cube, on either axis."""
+        """Cells next to a cube on either axis, where no other cube may stand."""
         return {(i + k, j + l) for i, j in self.cubes for k, l in ((-1, 0), (1, 0), (0, -1), (0, 1))}
 
     def place_cube(self, kind: str) -> None:
@@ -149,13 +149,13 @@ class _Layout:
             self.place_cube("heavy" if self.rng.random() < 0.5 else "light")
 
     def place_patch(self) -> None:
-        """Lay a danger patch on free cells, which then stay free."""
+        """Place a danger patch on free cells, where no object may be placed afterwards."""
         centres = [cell for cell in CENTRES if self.taken.isdisjoint(block(*cell, 1))]
         self.patch = Patch(*self.pick(centres))
         self.taken |= block(self.patch.row, self.patch.column, 1)
 
     def place_pen(self, agent: Cell | None = None) -> Cell:
-        """Put up a pen with its ramp, the agent inside, around the agent if that has its cell already.
+        """Place a pen with its ramp around the agent, and the agent inside it if it has no cell yet.
 
         The cell behind the ramp, where the agent lands, stays free.
         """
@@ -172,7 +172,7 @@ class _Layout:
 
 
 def pens_around(agent: Cell | None, side: Side) -> list[Pen]:
-    """The pens, with the ramp on this side, where the agent's cell (None: any) is inside and not under the ramp."""
+    """Pens with the ramp on this side that have the agent's cell (None: any) inside, and not under the ramp."""
     pens = [Pen(*centre, side) for centre in CENTRES]
     return [p for p in pens if agent is None or agent in block(p.row, p.column, 1) - ramp_cells(p)]
 
@@ -189,7 +189,7 @@ def _goal_seeking(layout: _Layout) -> None:
 
 
 def _preferences(layout: _Layout) -> None:
-    """Agent midway between the goals on a row or column; heavy cubes on that line with probability ½ a cell."""
+    """Agent midway between the goals on a row or column; each cell on that line has a heavy cube with probability ½."""
     axis, reach = LINES[int(layout.rng.integers(len(LINES)))]
     step = (0, 1) if axis == 0 else (1, 0)
     line = [(step[0] * k, step[1] * k) for k in range(-reach, reach + 1)]
@@ -242,16 +242,16 @@ def _sandbox(layout: _Layout, config: SandboxConfig) -> None:
             layout.place(kind, layout.pick(near))
     for name in config.meshes:
         layout.place_anywhere(f"mesh:{name}")
-    for kind in sorted(counts, key=lambda kind: kind in CUBES):  # cubes, which keep apart, come last
+    for kind in sorted(counts, key=lambda kind: kind in CUBES):  # cubes come last, because they must not be neighbours
         for _ in range(counts[kind]):
             layout.place_anywhere(kind)
 
 
 def draw_layout(task: Task, rng: np.random.Generator, sandbox: SandboxConfig = _DEFAULT_SANDBOX) -> Puzzle:
-    """Draw a puzzle, fixed test puzzles not excluded: `sample_puzzle` is what training uses.
+    """Draw a puzzle, perhaps a fixed one. Training uses `sample_puzzle`, which excludes fixed puzzles.
 
     Raises:
-        PuzzleError: if no layout was found in `ATTEMPTS` whole tries, or the configuration asks for what cannot be.
+        PuzzleError: if `ATTEMPTS` tries gave no layout, or the configuration is impossible.
     """
     if task == "sandbox":
         _check_sandbox(sandbox)
@@ -271,12 +271,12 @@ def draw_layout(task: Task, rng: np.random.Generator, sandbox: SandboxConfig = _
 
 
 def sample_puzzle(task: Task, rng: np.random.Generator, sandbox: SandboxConfig = _DEFAULT_SANDBOX) -> Puzzle:
-    """Draw a training puzzle: never a layout of the fixed test sets.
+    """Draw a training puzzle, which never has a layout of the fixed sets.
 
     Args:
         task: a task or "sandbox".
         rng: the only source of randomness.
-        sandbox: what lies in a sandbox world; the tasks have recipes of their own.
+        sandbox: contents of a sandbox world; each task has its own recipe.
 
     Raises:
         PuzzleError: if the request cannot be satisfied.

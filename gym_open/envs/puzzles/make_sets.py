@@ -1,6 +1,6 @@
 """Write the fixed puzzles: `python -m gym_open.envs.puzzles.make_sets FOLDER`.
 
-The same bytes come out on every machine. The sets are frozen: this stays as the proof of where they come from.
+The result has the same bytes on every machine. The sets are frozen; this script documents their origin.
 """
 
 import hashlib
@@ -14,11 +14,11 @@ from gym_open.envs.puzzles.puzzle import TASKS
 from gym_open.envs.puzzles.sets import DIGESTS, PER_SET, SPLITS, set_name
 
 SEED = 2021
-"""Year of the paper."""
+"""The year of the paper."""
 
 
 def set_bytes() -> dict[str, bytes]:
-    """The file of each task and split, by name: one puzzle a line, no layout twice over all of them."""
+    """The files of all tasks and splits, by name: one puzzle per line, and no layout twice in any of them."""
     seen: set[str] = set()
     files: dict[str, bytes] = {}
     for split in SPLITS:

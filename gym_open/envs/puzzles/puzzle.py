@@ -1,4 +1,4 @@
-"""A puzzle is data: what lies on which cell of the table, and what is asked for."""
+"""The record of a puzzle: a task, and the placement of objects on the table's cells."""
 
 import functools
 import hashlib
@@ -20,15 +20,15 @@ Column = Annotated[int, Meta(ge=0, lt=COLUMNS)]
 Cell = tuple[int, int]
 
 TASKS: tuple[Task, ...] = ("goal-seeking", "preferences", "avoidance", "tool-use")
-"""The four evaluation tasks; the sandbox is no task."""
+"""The four evaluation tasks. The sandbox is not one of them."""
 KINDS: tuple[Kind, ...] = get_args(Kind)
-"""The built-in kinds; a mesh of the user's own is of kind `mesh:NAME`."""
+"""The built-in kinds. A user's mesh has the kind `mesh:NAME`."""
 GOALS: tuple[Kind, ...] = ("yellow", "green")
 CUBES: tuple[Kind, ...] = ("heavy", "light", "stack")
 STACK_HEIGHT = 2
-"""Light cubes that a stack takes from the model's."""
+"""Number of light cubes in a stack."""
 CORNERS = frozenset({(0, 0), (0, COLUMNS - 1), (ROWS - 1, 0), (ROWS - 1, COLUMNS - 1)})
-"""Cells that the table's corner pieces cut off."""
+"""Cells that the table's corner pieces cover."""
 _MESH = re.compile(r"mesh:[A-Za-z0-9][A-Za-z0-9_-]*")
 _NEEDS: dict[Task, tuple[Kind, ...]] = {
     "sandbox": (),
@@ -45,14 +45,14 @@ _RANK: dict[str, int] = {kind: rank for rank, kind in enumerate(KINDS)}
 
 
 class PuzzleError(GymOpenError):
-    """A puzzle record is malformed or impossible, or no layout satisfies a request."""
+    """A puzzle record is malformed or cannot be built, or no layout satisfies a request."""
 
 
 class Placement(msgspec.Struct, frozen=True, forbid_unknown_fields=True, order=True, omit_defaults=True):
     """One object at the centre of one cell.
 
     Raises:
-        PuzzleError: if there is no such kind, or something else than a rectangle is turned.
+        PuzzleError: if the kind is unknown, or an object that is not a rectangle is turned.
     """
 
     kind: str
@@ -60,7 +60,7 @@ class Placement(msgspec.Struct, frozen=True, forbid_unknown_fields=True, order=T
     row: Row
     column: Column
     turned: bool = False
-    """Of a rectangle: its long side lies along the column (y), not along the row (x)."""
+    """Only for a rectangle: its long side is along the column (y), not along the row (x)."""
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS and not _MESH.fullmatch(self.kind):
@@ -71,7 +71,7 @@ class Placement(msgspec.Struct, frozen=True, forbid_unknown_fields=True, order=T
 
 
 class Pen(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A walled room of 3×3 cells, with a ramp inside that leads up to the wall of one side."""
+    """A walled room of 3×3 cells around a centre cell; a ramp inside leads to the top of the wall on one side."""
 
     row: Row
     column: Column
@@ -79,7 +79,7 @@ class Pen(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Patch(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A danger patch of 3×3 cells, painted on the table around its centre cell."""
+    """A danger patch of 3×3 cells on the table, around a centre cell."""
 
     row: Row
     column: Column
@@ -89,8 +89,8 @@ class Puzzle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A task and a layout.
 
     Raises:
-        PuzzleError: if objects are unsorted, share a cell, stand in a wall or outnumber the model's, or a piece
-            sticks out of the table.
+        PuzzleError: if objects are unsorted, share a cell, stand in a wall or are more than the model holds, or if a
+            piece is partly off the table.
     """
 
     task: Task
@@ -104,19 +104,19 @@ class Puzzle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def digest(self) -> str:
-        """SHA-256 in hex of the layout (not the task): what looks the same has the same digest."""
+        """SHA-256 in hex of the layout, without the task: equal layouts have equal digests."""
         return _layout_digest(self.objects, self.pen, self.patch)
 
     def to_json(self) -> bytes:
-        """Canonical JSON, without a line end."""
+        """The puzzle as canonical JSON, without a line end."""
         return msgspec.json.encode(self, order="sorted")
 
     @classmethod
     def from_json(cls, text: bytes | str) -> "Puzzle":
-        """Read what `to_json` wrote.
+        """Read the output of `to_json`.
 
         Raises:
-            PuzzleError: naming the field, what was expected and what came.
+            PuzzleError: if the text is not a puzzle; names the field, the expected value and the found value.
         """
         try:
             return msgspec.json.decode(text, type=cls)
@@ -133,7 +133,7 @@ def arranged(objects: list[Placement]) -> tuple[Placement, ...]:
 
 
 def footprint(item: Placement) -> set[Cell]:
-    """The cells that an object takes: its own; of a rectangle also the two beside it along its long side."""
+    """The cells that an object covers: one cell, or three along the long side of a rectangle."""
     i, j = item.row, item.column
     if item.kind != "rectangle":
         return {(i, j)}
@@ -141,7 +141,7 @@ def footprint(item: Placement) -> set[Cell]:
 
 
 def bodies_used(objects: tuple[Placement, ...]) -> dict[str, int]:
-    """How many of the model's bodies of each kind the objects take: a stack is two light cubes."""
+    """Number of the model's bodies of each kind that the objects use; a stack uses two light cubes."""
     used = Counter(item.kind for item in objects)
     used["light"] += STACK_HEIGHT * used.pop("stack", 0)
     return dict(used)
@@ -154,18 +154,18 @@ def block(row: int, column: int, reach: int) -> set[Cell]:
 
 
 def pen_wall_cells(pen: Pen) -> set[Cell]:
-    """The ring of 16 cells that a pen's walls stand on."""
+    """The ring of 16 cells under a pen's walls."""
     return block(pen.row, pen.column, 2) - block(pen.row, pen.column, 1)
 
 
 def ramp_cells(pen: Pen) -> set[Cell]:
-    """The two inner cells that a pen's ramp covers: the centre and its neighbour on the ramp's side."""
+    """The two cells under a pen's ramp: the centre, and its neighbour on the ramp's side."""
     i, j = SIDES[pen.ramp_side]
     return {(pen.row, pen.column), (pen.row + i, pen.column + j)}
 
 
 def check_puzzle(puzzle: Puzzle) -> None:
-    """Raise PuzzleError unless the layout can be built and holds what its task asks for."""
+    """Raise PuzzleError unless the layout can be built and has the objects that its task needs."""
     _check_objects(puzzle)
     _check_pieces(puzzle)
 
@@ -183,7 +183,7 @@ def _check_cells(objects: tuple[Placement, ...]) -> None:
 
 
 def _check_types(puzzle: Puzzle) -> None:
-    """What is built in Python is held to the types and bounds that JSON is."""
+    """Check the types and bounds of a puzzle that was built in Python, as JSON decoding does."""
     fields = (puzzle.task, puzzle.objects, puzzle.pen, puzzle.patch)
     try:
         msgspec.convert(msgspec.to_builtins(fields), _FIELDS)

@@ -1,4 +1,4 @@
-"""The paper's `puzzle_config`: a sandbox puzzle asked for by a dictionary of counts and cells."""
+"""The paper's `puzzle_config`: a dictionary of counts and cells that describes a sandbox puzzle."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any
@@ -16,20 +16,20 @@ Cells = tuple[tuple[Row, Column], ...]
 
 
 class PuzzleConfig(Config, frozen=True):
-    """Every key of the supplement's `puzzle_config`, under the supplement's names."""
+    """All keys of the supplement's `puzzle_config`, with the supplement's names."""
 
     main_sphere: Annotated[int, Meta(ge=1, le=1)] = 1
     """The agent: a puzzle has exactly one."""
     touch_sphere: Annotated[int, Meta(ge=0, le=CAPACITY["yellow"])] | None = None
-    """Yellow goal spheres; without it, as many as `touch_sphere_i_j` has cells."""
+    """Yellow goal spheres; None means the number of cells in `touch_sphere_i_j`."""
     high_value_target: Annotated[int, Meta(ge=0, le=CAPACITY["green"])] = 0
     """Green goal spheres."""
     cube: Annotated[int, Meta(ge=0, le=MOST_CUBES)] = 0
-    """Cubes, each heavy or light with probability ½ as far as the model holds enough of that kind."""
+    """Cubes, each heavy or light with probability ½, as far as the model has enough of that kind."""
     push_sphere: Annotated[int, Meta(ge=0, le=CAPACITY["push"])] = 0
     """Push spheres."""
     rectangle: Annotated[int, Meta(ge=0, le=CAPACITY["rectangle"])] = 0
-    """Rectangles, lying along either axis."""
+    """Rectangles, along either axis."""
     cone: Annotated[int, Meta(ge=0, le=CAPACITY["cone"])] = 0
     """Cones."""
     adversarial_patch: Annotated[int, Meta(ge=0, le=1)] = 0
@@ -37,25 +37,25 @@ class PuzzleConfig(Config, frozen=True):
     stack: Annotated[int, Meta(ge=0, le=CAPACITY["light"] // STACK_HEIGHT)] = 0
     """Stacks of two light cubes."""
     ramp: Annotated[int, Meta(ge=0, le=1)] = 0
-    """Ramps, each with the walled pen around it and the agent inside."""
+    """Ramps, each in a walled pen with the agent inside."""
     main_sphere_i_j: Annotated[Cells, Meta(max_length=1)] = ()
     """The agent's cell (row, column)."""
     touch_sphere_i_j: Annotated[Cells, Meta(max_length=CAPACITY["yellow"])] = ()
-    """Cells of yellow spheres; spheres beyond these are placed at random."""
+    """Cells of yellow spheres; further spheres get random cells."""
     radius: PositiveInt = 3
-    """Goal spheres without a cell of their own lie within this many cells of the agent, off its row and column."""
+    """Largest distance in cells from the agent to random goal spheres, which are never in its row or column."""
 
 
 def from_puzzle_config(puzzle_config: Mapping[str, Any], rng: np.random.Generator) -> Puzzle:
-    """Draw the sandbox puzzle that a `puzzle_config` dictionary asks for; never one of the fixed sets.
+    """Draw a sandbox puzzle as a `puzzle_config` dictionary describes it; never a puzzle of the fixed sets.
 
     Args:
-        puzzle_config: keys and values of `PuzzleConfig`; what is left out takes its default.
+        puzzle_config: keys and values of `PuzzleConfig`; missing keys have their defaults.
         rng: the only source of randomness.
 
     Raises:
-        ConfigError: if a key is unknown or a value is of the wrong type or out of bounds, naming both.
-        PuzzleError: if the values cannot be had together.
+        ConfigError: if a key is unknown, or a value has the wrong type or is out of bounds; names both.
+        PuzzleError: if the values exclude one another.
     """
     config = decode(dict(puzzle_config), PuzzleConfig, source="puzzle_config")
     yellow = len(config.touch_sphere_i_j) if config.touch_sphere is None else config.touch_sphere
@@ -85,12 +85,12 @@ def from_puzzle_config(puzzle_config: Mapping[str, Any], rng: np.random.Generato
     try:
         return sample_puzzle("sandbox", rng, sandbox)
     except PuzzleError as error:
-        rng.bit_generator.state = before  # what is refused leaves no trace
+        rng.bit_generator.state = before  # a refused request leaves no trace
         raise PuzzleError(f"puzzle_config {dict(puzzle_config)}: {error}") from None
 
 
 def _check_goals(config: PuzzleConfig, yellow: int) -> None:
-    """Refuse more goals than there are cells within the radius off the agent's row and column."""
+    """Raise PuzzleError if there are more goals than cells within the radius, outside the agent's row and column."""
     drawn, room = yellow - len(config.touch_sphere_i_j) + config.high_value_target, 4 * config.radius**2
     if drawn > room:
         fit = f"at most {room} goal spheres fit around the agent, got {drawn}"
@@ -98,7 +98,7 @@ def _check_goals(config: PuzzleConfig, yellow: int) -> None:
 
 
 def _split(config: PuzzleConfig, rng: np.random.Generator) -> tuple[int, int]:
-    """How many of the cubes are heavy and how many light."""
+    """Draw the number of heavy and of light cubes."""
     most_light = CAPACITY["light"] - STACK_HEIGHT * config.stack
     if config.cube > CAPACITY["heavy"] + most_light:
         most = CAPACITY["heavy"] + most_light

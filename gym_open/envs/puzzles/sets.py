@@ -1,4 +1,4 @@
-"""The fixed puzzles: 100 a task for testing, 100 for choosing models; data of the package, never drawn for training."""
+"""The fixed puzzles, per task 100 for testing and 100 for choosing models: files of the package, never for training."""
 
 import functools
 import hashlib
@@ -17,23 +17,23 @@ DIGESTS = "digests.json"
 
 
 def puzzle_id(task: Task, split: Split, index: int) -> str:
-    """Name of a fixed puzzle: "tool-use/017" of the test set, "tool-use/validation/017" of the validation set."""
+    """Id of a fixed puzzle: "tool-use/017" in the test set, "tool-use/validation/017" in the validation set."""
     return f"{task}/{index:03d}" if split == "test" else f"{task}/{split}/{index:03d}"
 
 
 def data_file(name: str) -> Traversable:
-    """A file of the package's folder of puzzle sets."""
+    """A file in the package's folder of puzzle sets."""
     return resources.files("gym_open.envs.puzzles") / "data" / name
 
 
 def set_name(task: Task, split: Split) -> str:
-    """Name of a set's file."""
+    """File name of a set."""
     return f"{task}-{split}.jsonl"
 
 
 @functools.cache
 def puzzles_of(task: Task, split: Split) -> tuple[Puzzle, ...]:
-    """The fixed puzzles of a task and split, in order; `puzzle_id(task, split, i)` names the i-th.
+    """The fixed puzzles of a task and split, in order; the i-th has the id `puzzle_id(task, split, i)`.
 
     Raises:
         PuzzleError: if there is no such set or its file is damaged.
@@ -53,11 +53,11 @@ def test_puzzles(task: Task) -> tuple[Puzzle, ...]:
     return puzzles_of(task, "test")
 
 
-test_puzzles.__test__ = False  # pyright: ignore[reportFunctionMemberAccess]  # not a test, whatever pytest thinks
+test_puzzles.__test__ = False  # pyright: ignore[reportFunctionMemberAccess]  # pytest must not take it for a test
 
 
 def locate(name: str) -> tuple[Task, Split, int]:
-    """Task, split and index that an id names.
+    """Task, split and index of an id.
 
     Raises:
         PuzzleError: if no fixed puzzle has this id.
@@ -72,7 +72,7 @@ def locate(name: str) -> tuple[Task, Split, int]:
 
 
 def puzzle_by_id(name: str) -> Puzzle:
-    """The fixed puzzle "tool-use/017" (test) or "tool-use/validation/017".
+    """The fixed puzzle with this id, such as "tool-use/017" (test) or "tool-use/validation/017".
 
     Raises:
         PuzzleError: if no fixed puzzle has this id.
@@ -83,16 +83,16 @@ def puzzle_by_id(name: str) -> Puzzle:
 
 @functools.cache
 def reserved_digests() -> frozenset[str]:
-    """Digests of all fixed layouts: all tasks, test and validation."""
+    """Digests of all fixed layouts, of all tasks, test and validation."""
     return frozenset(puzzle.digest for task in TASKS for split in SPLITS for puzzle in puzzles_of(task, split))
 
 
 def published_digests() -> dict[str, str]:
-    """SHA-256 of every file of the sets, as published with them."""
+    """Published SHA-256 of every file of the sets."""
     return msgspec.json.decode(data_file(DIGESTS).read_bytes(), type=dict[str, str])
 
 
 def actual_digests() -> dict[str, str]:
-    """SHA-256 of every file of the sets as it lies in this installation; a missing file has none."""
+    """SHA-256 of every file of the sets in this installation; missing files are left out."""
     files = [data_file(name) for name in published_digests()]
     return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files if file.is_file()}

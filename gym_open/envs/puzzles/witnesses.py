@@ -1,4 +1,4 @@
-"""Witnesses: for every fixed puzzle, a sequence of actions that solves it; data of the package."""
+"""Witnesses: for each fixed puzzle, a sequence of actions that solves it. They are files of the package."""
 
 import functools
 from collections.abc import Iterable
@@ -10,23 +10,23 @@ from gym_open.envs.puzzles.sets import Split, data_file, locate, puzzle_id, puzz
 
 
 class Witness(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The proof that a puzzle can be solved."""
+    """Proof that a puzzle can be solved."""
 
     puzzle: str
-    """Its id."""
+    """The puzzle's id."""
     digest: str
-    """Digest of its layout."""
+    """Digest of the puzzle's layout."""
     actions: tuple[int, ...]
-    """Actions that earn the whole return, the last of them ending the episode."""
+    """Actions that earn the whole return; the last one terminates the episode."""
 
 
 def witness_name(task: Task, split: Split) -> str:
-    """Name of the file of a set's witnesses."""
+    """File name of a set's witnesses."""
     return f"{task}-{split}.witnesses.jsonl"
 
 
 def witness_bytes(task: Task, split: Split, sequences: Iterable[tuple[int, ...]]) -> bytes:
-    """The file of a set's witnesses: one a line, in the order of the puzzles."""
+    """Contents of the file of a set's witnesses: one per line, in the order of the puzzles."""
     puzzles = puzzles_of(task, split)
     witnesses = [
         Witness(puzzle_id(task, split, i), puzzle.digest, actions)
@@ -40,7 +40,7 @@ def witnesses_of(task: Task, split: Split) -> tuple[Witness, ...]:
     """The witnesses of a task and split, in the order of `puzzles_of`.
 
     Raises:
-        PuzzleError: if there is no such set, or its file is damaged or belongs to other puzzles.
+        PuzzleError: if there is no such set, or its file is damaged or is for other puzzles.
     """
     puzzles, name = puzzles_of(task, split), witness_name(task, split)
     try:
