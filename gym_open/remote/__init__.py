@@ -1,1 +1,1 @@
-"""The world on another host, behind the interface of the paper's supplement."""
+"""The interface of the paper's supplement, in this process or on a server."""

@@ -1,4 +1,4 @@
-"""Hosts, ports and the token: what is written down about where a server listens and who may call it."""
+"""Check hosts and ports, and read the token of a server."""
 
 import ipaddress
 import os
@@ -13,19 +13,19 @@ _MIN_TOKEN = 16
 
 
 def check_host(host: str, name: str) -> None:
-    """Raise UsageError, in which `name` is the argument, unless `host` is an address or a host's name."""
+    """Raise UsageError unless `host` is an IP address or a host name; `name` is the argument's name in the error."""
     if _ip(host) is None and not _NAME.fullmatch(host):
         raise UsageError(f"{name}: an IP address or a host's name, got {host!r}")
 
 
 def check_port(port: int, name: str, *, least: int = 1) -> None:
-    """Raise UsageError unless `port` is a TCP port."""
+    """Raise UsageError unless `port` is a TCP port; `name` is the argument's name in the error."""
     if not least <= port <= 65535:
         raise UsageError(f"{name}: from {least} to 65535, got {port}")
 
 
 def is_loopback(host: str) -> bool:
-    """Whether `host` can only be reached from this machine."""
+    """Whether `host` is reachable only from this machine."""
     address = _ip(host)
     return host.lower() == "localhost" if address is None else address.is_loopback
 
@@ -44,10 +44,10 @@ def _ip(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 
 
 def read_token(file: Path | None) -> str | None:
-    """The token: the text of `file` if that is given, else the environment variable's, else None.
+    """The token: the text of `file` if that is given, else the environment variable, else None.
 
     Raises:
-        UsageError: if it cannot be read, is too short to keep anyone out, or is not printable ASCII.
+        UsageError: if the token cannot be read, is too short to be safe, or is not printable ASCII.
     """
     if file is None:
         source, token = f"environment variable {TOKEN_VARIABLE}", os.environ.get(TOKEN_VARIABLE) or None

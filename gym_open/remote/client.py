@@ -1,4 +1,4 @@
-"""A session on a server: the methods of `Session`, each one call over the wire."""
+"""A session on a server: the methods of `Session`, each as one remote call."""
 
 import contextlib
 from typing import Any, TypeVar
@@ -16,10 +16,10 @@ _CLOSE_DEADLINE_S = 2.0
 
 
 class RemoteSession:
-    """A world of its own on the server at `host` and `port`; the token is the environment variable's.
+    """A world on the server at `host` and `port`, for this client only. The token is in the environment variable.
 
     Raises:
-        UsageError: if the server refuses: its places are taken, the token is wrong, it is of another version.
+        UsageError: if the server refuses, because it is full or of another version, or because the token is wrong.
         GymOpenError: if there is no server, or the call takes longer than `deadline_s`.
     """
 
@@ -68,7 +68,7 @@ class RemoteSession:
         return self._ask(p.Step(action), p.Stepped).result
 
     def close(self) -> None:
-        """Give the place on the server back. A server that does not answer frees it by itself."""
+        """Free the session on the server. A server that does not answer frees it later without a call."""
         if self._session:
             self._deadline_s = min(self._deadline_s, _CLOSE_DEADLINE_S)
             with contextlib.suppress(GymOpenError):
@@ -85,7 +85,7 @@ class RemoteSession:
             answer = p.decode_reply(self._call(body, timeout=self._deadline_s, metadata=self._metadata))
         except grpc.RpcError as error:
             raise self._explained(error) from None
-        except ValueError as error:  # a closed channel, too, is one
+        except ValueError as error:  # a closed channel raises ValueError too
             raise GymOpenError(
                 f"{self._where}: {error}; is it `gym-open serve`, and is this environment still open?"
             ) from None
@@ -102,17 +102,17 @@ class RemoteSession:
         match code:
             case grpc.StatusCode.UNAVAILABLE:
                 return GymOpenError(
-                    f"no answer from {where}: it was never there, or it is gone ({details}). "
+                    f"no answer from {where}: it was not started, or it has stopped ({details}). "
                     "Its worlds are lost: start `gym-open serve` there again, then make the environment anew"
                 )
             case grpc.StatusCode.DEADLINE_EXCEEDED:
                 return GymOpenError(
                     f"{where} did not answer within {self._deadline_s:g} s: it hangs, is overloaded, or a firewall "
-                    "drops what is sent; look at it, then make the environment anew"
+                    "drops the messages; check the server, then make the environment anew"
                 )
             case grpc.StatusCode.RESOURCE_EXHAUSTED if "larger than max" in (details or ""):
                 return GymOpenError(
-                    f"{where}: message too large ({details}): at most {p.REQUEST_BYTES} bytes there and "
+                    f"{where}: message too large ({details}): at most {p.REQUEST_BYTES} bytes to the server and "
                     f"{p.REPLY_BYTES} back; make puzzle_config smaller"
                 )
             case grpc.StatusCode.RESOURCE_EXHAUSTED:

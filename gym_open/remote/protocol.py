@@ -1,7 +1,7 @@
-"""What client and server say to each other: MessagePack bodies of one unary gRPC method.
+"""The protocol of client and server: MessagePack bodies of one unary gRPC method.
 
-A body is a `Request`; the answer is a `Reply`. What the user gave travels as it is and is checked by `Session`, so that
-a wrong argument gives the same error near and far.
+A body is a `Request`, and the answer is a `Reply`. The user's arguments are sent without a check; `Session` checks
+them, so that a wrong argument gives the same error in this process and on a server.
 """
 
 from typing import Any, Literal, NotRequired, TypedDict
@@ -23,13 +23,13 @@ TOKEN_KEY = "gym-open-token"  # noqa: S105
 """Metadata key that carries the token."""
 REQUEST_BYTES = 64 * 1024
 REPLY_BYTES = 1024 * 1024
-"""Larger messages are refused. A reply with a picture takes about 25,000 bytes."""
+"""Larger messages are refused. A reply with an image has about 25,000 bytes."""
 
 Vector = tuple[float, float, float]
 
 
 class ObjectInformation(TypedDict):
-    """State of one object: metres, metres and radians a second, kilograms, in the world's frame."""
+    """State of one object in the world's frame: metres, metres and radians per second, kilograms."""
 
     position: Vector
     rotation: tuple[float, float, float, float]
@@ -42,25 +42,25 @@ class ObjectInformation(TypedDict):
 
 
 class Observation(TypedDict):
-    """What the paper's environment returns."""
+    """An observation of the paper's environment."""
 
     image: NotRequired[np.ndarray]
-    """(84, 84, 3) uint8 RGB; not there while `set_observation` is off."""
+    """(84, 84, 3) uint8 RGB; missing while `set_observation` is off."""
     object_information: dict[int, ObjectInformation]
-    """By the object's number in the inventory."""
+    """By the object's index in the inventory."""
 
 
 class Debug(TypedDict):
-    """The fourth thing that a step returns."""
+    """The fourth value that a step returns."""
 
     puzzle_digest: str
     hits: tuple[str, ...]
     """Goals that the agent touched for the first time."""
     in_danger: bool
     truncated: bool
-    """Done because the step budget is spent."""
+    """Whether done is true because the step budget is used up."""
     contacts: NotRequired[tuple[Contact, ...]]
-    """What touched what; with `debug=True` only, like the next."""
+    """Contacts during the step; only with `debug=True`, like `puzzle`."""
     puzzle: NotRequired[Puzzle]
 
 
@@ -68,16 +68,16 @@ StepResult = tuple[Observation, float, bool, Debug]
 
 
 class Open(msgspec.Struct, frozen=True, tag=True):
-    """Ask for a session. Every version of the protocol must be able to read these fields."""
+    """Request a session. Every version of the protocol must be able to read these fields."""
 
     protocol: int
     package: str
-    """Version of gym-open: another one may hold another world."""
+    """Version of gym-open: another version may have another world."""
     debug: bool
 
 
 class ChangePuzzle(msgspec.Struct, frozen=True, tag=True):
-    """`add_change_puzzle`."""
+    """Call of `add_change_puzzle`."""
 
     mode: Any
     task: Any
@@ -85,13 +85,13 @@ class ChangePuzzle(msgspec.Struct, frozen=True, tag=True):
 
 
 class SetObservation(msgspec.Struct, frozen=True, tag=True):
-    """`set_observation`."""
+    """Call of `set_observation`."""
 
     output: Any
 
 
 class Configure(msgspec.Struct, frozen=True, tag=True):
-    """`configure_env`."""
+    """Call of `configure_env`."""
 
     first: Any
     action_space: Any
@@ -99,25 +99,25 @@ class Configure(msgspec.Struct, frozen=True, tag=True):
 
 
 class TurnOffReward(msgspec.Struct, frozen=True, tag=True):
-    """`turn_off_reward`."""
+    """Call of `turn_off_reward`."""
 
     off: Any
 
 
 class Reset(msgspec.Struct, frozen=True, tag=True):
-    """`reset`."""
+    """Call of `reset`."""
 
     seed: Any
 
 
 class Step(msgspec.Struct, frozen=True, tag=True):
-    """`step`."""
+    """Call of `step`."""
 
     action: Any
 
 
 class Close(msgspec.Struct, frozen=True, tag=True):
-    """The session is not needed any more."""
+    """End the session."""
 
 
 Call = Open | ChangePuzzle | SetObservation | Configure | TurnOffReward | Reset | Step | Close
@@ -131,23 +131,23 @@ class Request(msgspec.Struct, frozen=True):
 
 
 class Opened(msgspec.Struct, frozen=True, tag=True):
-    """A session was opened."""
+    """Reply to `Open`: the session's name."""
 
     session: str
 
 
 class Done(msgspec.Struct, frozen=True, tag=True):
-    """It is done, and there is nothing to return."""
+    """Reply without a value: the call succeeded."""
 
 
 class Observed(msgspec.Struct, frozen=True, tag=True):
-    """What `reset` returns."""
+    """Reply with the return value of `reset`."""
 
     observation: Observation
 
 
 class Stepped(msgspec.Struct, frozen=True, tag=True):
-    """What `step` returns."""
+    """Reply with the return value of `step`."""
 
     result: StepResult
 
@@ -156,7 +156,7 @@ Kind = Literal["usage", "config", "puzzle", "failed"]
 
 
 class Refused(msgspec.Struct, frozen=True, tag=True):
-    """The call was understood and not done; the session is as it was."""
+    """Reply to a refused call. The session is unchanged."""
 
     kind: Kind
     message: str
@@ -184,10 +184,10 @@ def raised(refused: Refused) -> GymOpenError:
 
 
 def plain(value: Any) -> Any:
-    """Numbers of numpy as Python's, tuples as lists: what a message can hold.
+    """Convert values to those that a message can hold: NumPy numbers to Python's, tuples to lists.
 
     Raises:
-        TypeError: if a value is of no such type.
+        TypeError: if a value has another type.
     """
     return msgspec.to_builtins(value, enc_hook=_encode_number)
 
@@ -198,21 +198,21 @@ def _encode_number(value: Any) -> Any:
     raise TypeError(f"numbers, text, lists and dictionaries are possible, got {type(value).__name__}")
 
 
-def _encode_picture(value: Any) -> bytes:
+def _encode_image(value: Any) -> bytes:
     assert isinstance(value, np.ndarray)
     return value.tobytes()
 
 
-def _decode_picture(kind: type, value: Any) -> np.ndarray:
+def _decode_image(kind: type, value: Any) -> np.ndarray:
     shape = (IMAGE_SIZE, IMAGE_SIZE, 3)
     if kind is not np.ndarray or not isinstance(value, bytes) or len(value) != np.prod(shape):
-        raise ValueError(f"expected a picture of {shape} bytes")
+        raise ValueError(f"expected an image of {shape} bytes")
     return np.frombuffer(value, np.uint8).reshape(shape).copy()
 
 
-_encoder = msgspec.msgpack.Encoder(enc_hook=_encode_picture)
+_encoder = msgspec.msgpack.Encoder(enc_hook=_encode_image)
 _requests = msgspec.msgpack.Decoder(Request)
-_replies = msgspec.msgpack.Decoder(Reply, dec_hook=_decode_picture)
+_replies = msgspec.msgpack.Decoder(Reply, dec_hook=_decode_image)
 
 
 def encode(message: Request | Reply) -> bytes:
@@ -224,7 +224,7 @@ def decode_request(body: bytes) -> Request:
     """The request in a body.
 
     Raises:
-        ValueError: if it is none.
+        ValueError: if the body is not a request.
     """
     return _decoded(_requests, body)
 
@@ -233,7 +233,7 @@ def decode_reply(body: bytes) -> Reply:
     """The reply in a body.
 
     Raises:
-        ValueError: if it is none.
+        ValueError: if the body is not a reply.
     """
     return _decoded(_replies, body)
 

@@ -1,6 +1,7 @@
-"""`gym-open serve`: worlds for clients on this host or another, one session each.
+"""`gym-open serve`: worlds for clients on this host or other hosts, one session per client.
 
-Nothing that a client sends is executed or unpickled: a body is decoded into one of a few message types, or refused.
+The server never executes or unpickles a client's data: it decodes a body into one of a few message types, or refuses
+it.
 """
 
 import hmac
@@ -28,12 +29,12 @@ from gym_open.version import __version__
 CLIENTS = 4
 IDLE_S = 1800.0
 _GRACE_S = 5.0
-"""Calls that are going on when the server is stopped have this long."""
+"""Time limit for unfinished calls when the server is stopped."""
 _SWEEP_S = 1.0
 
 
-class _Place:
-    """One client's session, and when it was last used."""
+class _ClientSession:
+    """One client's session, and the time of its last use."""
 
     def __init__(self, *, debug: bool, now: float) -> None:
         self.session = Session(debug=debug)
@@ -42,21 +43,21 @@ class _Place:
 
 
 class Sessions:
-    """The sessions of a server: at most `clients`, each freed after `idle_s` without a call."""
+    """The sessions of a server: at most `clients`. A session is freed after `idle_s` seconds without a call."""
 
     def __init__(self, clients: int, idle_s: float) -> None:
         self._clients, self._idle_s = clients, idle_s
-        self._places: dict[str, _Place] = {}
+        self._by_name: dict[str, _ClientSession] = {}
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
-        return len(self._places)
+        return len(self._by_name)
 
     def open(self, asked: p.Open) -> p.Opened:
-        """Give the client a world of its own.
+        """Open a session with a new world.
 
         Raises:
-            UsageError: if it is of another version, or all places are taken.
+            UsageError: if the client has another version, or there are `clients` sessions already.
         """
         if (asked.protocol, asked.package) != (p.PROTOCOL, __version__):
             raise UsageError(
@@ -65,59 +66,59 @@ class Sessions:
             )
         self.sweep()
         with self._lock:
-            if len(self._places) >= self._clients:
+            if len(self._by_name) >= self._clients:
                 raise UsageError(
                     f"all {self._clients} places are taken: close another environment, wait until an unused one is "
                     f"freed ({self._idle_s:g} s without a call), or start the server with more `--clients`"
                 )
             name = secrets.token_hex(16)
-            self._places[name] = _Place(debug=asked.debug, now=time.monotonic())
+            self._by_name[name] = _ClientSession(debug=asked.debug, now=time.monotonic())
         return p.Opened(name)
 
     @contextmanager
     def use(self, name: str) -> Iterator[Session]:
-        """A session, for one call at a time.
+        """Context manager: the session with this name, for one call at a time.
 
         Raises:
-            UsageError: if there is none of that name.
+            UsageError: if there is no session with this name.
         """
-        place = self._places.get(name)
-        if place is None:
+        found = self._by_name.get(name)
+        if found is None:
             raise UsageError(
                 f"the server does not know this session: it was freed after {self._idle_s:g} s without a call, or the "
                 "server was started anew; make the environment anew"
             )
-        with place.lock:
+        with found.lock:
             try:
-                yield place.session
+                yield found.session
             finally:
-                place.used = time.monotonic()
+                found.used = time.monotonic()
 
     def close(self, name: str) -> None:
         """Free a session."""
-        self._places.pop(name, None)
+        self._by_name.pop(name, None)
 
     def sweep(self) -> None:
-        """Free the sessions that were not used for too long."""
+        """Free the sessions that have been unused for too long."""
         limit = time.monotonic() - self._idle_s
         with self._lock:
-            for name, place in list(self._places.items()):
-                if place.used < limit and not place.lock.locked():
+            for name, client in list(self._by_name.items()):
+                if client.used < limit and not client.lock.locked():
                     self.close(name)
 
 
 class Server:
-    """Listens while it is entered as a context.
+    """Context manager that listens while it is entered.
 
     Args:
-        host: address to listen on; other than loopback only with a token.
-        port: TCP port; 0 takes a free one.
-        token: what clients must send, if anything.
-        clients: sessions at a time.
+        host: address to listen on; an address other than loopback needs a token.
+        port: TCP port; 0 means any free port.
+        token: the token that clients must send; None means no token.
+        clients: largest number of sessions at a time.
         idle_s: seconds without a call after which a session is freed.
 
     Raises:
-        UsageError: if an argument is wrong, or the port cannot be had.
+        UsageError: if an argument is wrong, or the port is not available.
     """
 
     def __init__(
@@ -143,7 +144,7 @@ class Server:
             options=[
                 ("grpc.max_receive_message_length", p.REQUEST_BYTES),
                 ("grpc.max_send_message_length", p.REPLY_BYTES),
-                ("grpc.so_reuseport", 0),  # a second server on this port fails, and does not share it
+                ("grpc.so_reuseport", 0),  # a second server on this port fails instead of sharing it
             ],
             maximum_concurrent_rpcs=4 * clients + 4,
         )
@@ -155,7 +156,7 @@ class Server:
             ) from None
 
     def __enter__(self) -> Self:
-        Session().warm_up()  # compiles, so that no call waits for it
+        Session().warm_up()  # compiles the code, so that no call has to wait for that
         self._server.start()
         return self
 
@@ -172,7 +173,7 @@ class Server:
             return p.encode(self._reply(request))
         except GymOpenError as error:
             return p.encode(p.refusal(error))
-        except Exception:  # whatever it is, the other clients play on
+        except Exception:  # other clients must not be affected
             traceback.print_exc(file=sys.stderr)
             self.sessions.close(request.session)
             _abort(
@@ -224,7 +225,7 @@ def _handler(answer: Callable[[bytes, grpc.ServicerContext], bytes]) -> Any:
 
 def _abort(context: grpc.ServicerContext, code: grpc.StatusCode, details: str) -> NoReturn:
     context.abort(code, details)
-    raise AssertionError  # abort has raised
+    raise AssertionError  # abort always raises
 
 
 def serve(
@@ -235,17 +236,17 @@ def serve(
     clients: int = CLIENTS,
     idle_s: float = IDLE_S,
 ) -> None:
-    """Serve worlds until SIGINT or SIGTERM; calls that are going on then are finished.
+    """Serve worlds until SIGINT or SIGTERM, then finish the unfinished calls.
 
     Args:
         host: address to listen on.
-        port: TCP port; 0 takes a free one.
-        token_file: file with the token that clients must send; without it, the environment variable's.
-        clients: sessions at a time.
+        port: TCP port; 0 means any free port.
+        token_file: file with the token that clients must send; None means the environment variable.
+        clients: largest number of sessions at a time.
         idle_s: seconds without a call after which a session is freed.
 
     Raises:
-        UsageError: if an argument is wrong, the token is missing or too short, or the port cannot be had.
+        UsageError: if an argument is wrong, the token is missing or too short, or the port is not available.
     """
     stop = threading.Event()
     with Server(host, port, read_token(token_file), clients=clients, idle_s=idle_s) as server, _signals(stop):
@@ -257,7 +258,7 @@ def serve(
 
 def _greeting(server: Server, clients: int, idle_s: float) -> str:
     here = target(server.host, server.port)
-    named = "THIS-HOST" if server.host in {"0.0.0.0", "::"} else server.host  # noqa: S104  # all addresses have no name
+    named = "THIS-HOST" if server.host in {"0.0.0.0", "::"} else server.host  # noqa: S104  # no name
     lines = [
         f"gym-open serve: listening on {here}, for {clients} clients; a world unused for {idle_s:g} s is freed",
         f"  connect: gymnasium.make('gym_open:open_puzzle_proc-v0', env_ip='{named}', port={server.port})",
@@ -265,7 +266,7 @@ def _greeting(server: Server, clients: int, idle_s: float) -> str:
     if is_loopback(server.host):
         lines.append(f"  from another host: first ssh -L {server.port}:{here} THIS-HOST, there")
     else:
-        lines.append("  the token and all else go over the net as they are (no TLS): use it in a net that you trust")
+        lines.append("  all data and the token are sent unencrypted (no TLS): use a network that you trust")
     return "\n".join([*lines, "  stop: Ctrl-C"])
 
 

@@ -1,4 +1,4 @@
-"""The paper's environment in this process: one world, and the switches that the supplement gives it."""
+"""The paper's environment in this process: one world with the methods of the supplement."""
 
 import operator
 from collections.abc import Callable
@@ -17,7 +17,7 @@ from gym_open.envs.world import StepOutcome, World
 from gym_open.errors import UsageError
 from gym_open.remote.protocol import Debug, ObjectInformation, Observation, StepResult
 
-# Model names and numbers of colours are the original's, where it has one.
+# Model names and colour ids are the original's, as far as it has them.
 _MODEL_NAME = {"heavy": "prim_cube", "light": "prim_cube", "rectangle": "prim_rectangle", "cone": "prim_cone"}
 _SPHERE = "prim_sphere"
 _COLOR_ID = {"heavy": 1, "light": 2, "agent": 3, "push": 4, "yellow": 6, "green": 8, "rectangle": 10, "cone": 11}
@@ -27,7 +27,7 @@ Draw = Callable[[np.random.Generator], Puzzle]
 
 
 class Session:
-    """One world with the paper's methods. Wrong arguments raise UsageError or PuzzleError and change nothing."""
+    """One world with the paper's methods. A wrong argument raises UsageError or PuzzleError, and changes nothing."""
 
     def __init__(self, *, debug: bool = False) -> None:
         self._world = World()
@@ -35,29 +35,29 @@ class Session:
         self._debug = debug
         self._rng, _ = seeding.np_random(None)
         self._draw: Draw | None = None
-        """Draws a puzzle of the kind that was asked for last."""
-        self._pictures = False
+        """Draws a puzzle of the last requested kind."""
+        self._images = False
         self._rewards = True
         self._skip_frame = True
         self._substeps_left = 0
-        """Of the move that is going on; only without `skip_frame`."""
+        """Substeps left in the current move; only without `skip_frame`."""
         self._fresh = True
         self._steps = 0
         self._hit: set[str] = set()
         self._done = False
 
     def change_puzzle(self, mode: Any, task: Any, puzzle_config: Any) -> None:
-        """Draw a puzzle and lay it out: a sandbox after `puzzle_config` (mode 0), or one of the tasks 1–4 (mode 1)."""
+        """Draw a puzzle and lay it out: a sandbox by `puzzle_config` (mode 0), or one of the tasks 1–4 (mode 1)."""
         draw = _draw(mode, task, puzzle_config)
         self._begin(draw(self._rng))
         self._draw = draw
 
     def set_observation(self, output: Any) -> None:
-        """Whether observations hold the picture; the objects' states are always there."""
-        self._pictures = _flag("set_observation: output", output)
+        """Set whether observations hold the image; they always hold the objects' states."""
+        self._images = _flag("set_observation: output", output)
 
     def configure(self, first: Any, action_space: Any, skip_frame: Any) -> None:
-        """Set whether a step is a whole move, or one physics substep."""
+        """Set whether a step is a whole move or one substep."""
         if first is not False:
             raise UsageError(f"configure_env: first argument: only False, as the paper passes it, got {first!r}")
         if action_space != "full":
@@ -65,22 +65,22 @@ class Session:
         skip_frame = _flag("configure_env: skip_frame", skip_frame)
         if self._substeps_left and skip_frame:
             raise UsageError(
-                f"configure_env: skip_frame: a move is going on, {self._substeps_left} substeps are left of it; "
+                f"configure_env: skip_frame: a move is unfinished, {self._substeps_left} substeps of it are left; "
                 "step to its end, or reset, first"
             )
         self._skip_frame = skip_frame
 
     def turn_off_reward(self, off: Any) -> None:
-        """Without rewards nothing is paid, nothing ends an episode, and goals keep their colours.
+        """Turn rewards off: then rewards are 0, no episode ends, and goals keep their colours.
 
-        Their colours follow from the next layout on, which before an episode's first step is this one.
+        Goals' colours change with the next layout. Before the first step of an episode, this is the current layout.
         """
         self._rewards = not _flag("turn_off_reward: value", off)
         if self._draw and self._fresh:
             self._begin(self._world.puzzle)
 
     def reset(self, seed: Any = None) -> Observation:
-        """The same puzzle again from its beginning; with a seed, another of its kind, which the seed determines."""
+        """Start the same puzzle again; with a seed, start a puzzle of the same kind, determined by the seed."""
         draw = self._known()
         if seed is None:
             self._begin(self._world.puzzle)
@@ -90,7 +90,7 @@ class Session:
         return self._observe()
 
     def step(self, action: Any) -> StepResult:
-        """Take an action. After the end of an episode, the world goes on, nothing is paid, and done stays true."""
+        """Take a step. After the end of an episode, the world goes on, rewards are 0, and done stays true."""
         self._known()
         task = self._world.puzzle.task
         action = _whole("step: action", action, 0, c.N_ACTIONS - 1)
@@ -109,16 +109,16 @@ class Session:
         return self._observe(), reward, done, self._note(outcome, truncated)
 
     def warm_up(self) -> None:
-        """Play and look once, so that everything is compiled."""
+        """Take a step and an observation, so that all code is compiled."""
         self._begin(sample_puzzle("avoidance", self._rng))
         self._world.step(1)
         self._world.observe()
 
     def close(self) -> None:
-        """Nothing is to be given back here."""
+        """Do nothing: this process holds no session on a server."""
 
     def _substep(self, action: int) -> StepOutcome:
-        """One physics substep: of the move that is going on, of one that begins, or of a world left to itself."""
+        """Simulate one substep, of the current move, of a new move, or without a move."""
         speed = self._world.data.qvel
         if self._substeps_left == 0 and action != 0:
             speed[0] += c.MOVE_SPEED * c.MOVES[action][0]
@@ -153,7 +153,7 @@ class Session:
             for i, name in enumerate(world.inventory)
             if world.present[i]
         }
-        if not self._pictures:
+        if not self._images:
             return {"object_information": found}
         return {"image": world.observe(), "object_information": found}
 

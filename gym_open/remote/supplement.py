@@ -1,8 +1,8 @@
-"""The interface that the paper's supplement prints, in this process or on a server.
+"""The interface in the paper's supplement, in this process or on a server.
 
     env = gymnasium.make("gym_open:open_puzzle_proc-v0", env_ip="localhost", self_ip="localhost", port=None)
 
-The methods are older than Gymnasium's: `reset` returns the observation alone, `step` four things.
+The interface is older than Gymnasium's: `reset` returns only the observation, and `step` returns four values.
 """
 
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -22,17 +22,17 @@ if TYPE_CHECKING:
     from gym_open.remote.client import RemoteSession
 
 DEADLINE_S = 60.0
-"""A call to a server fails after this."""
+"""Time limit of a call to a server."""
 
 
 class OpenPuzzleEnv(gymnasium.Env[Observation, np.int64]):
-    """The paper's environment; `close` it when it is not needed any more, which frees its place on a server.
+    """The paper's environment. Call `close` at the end, which frees its session on a server.
 
     Args:
-        env_ip: where the world is. This machine, with no `port`, means this process.
-        self_ip: without effect: nothing calls back.
-        port: where `gym-open serve` listens. None: this process or, on another host, `DEFAULT_PORT`.
-        debug: whether the fourth value of `step` holds contacts and the puzzle too.
+        env_ip: host of the world. This machine, without a `port`, means this process.
+        self_ip: has no effect, because the server never calls back.
+        port: port of `gym-open serve`. None means this process or, on another host, `DEFAULT_PORT`.
+        debug: whether the fourth value of `step` also holds contacts and the puzzle.
         deadline_s: seconds after which a call to a server fails.
 
     Raises:
@@ -63,63 +63,63 @@ class OpenPuzzleEnv(gymnasium.Env[Observation, np.int64]):
         if not isinstance(debug, bool):
             raise UsageError(f"debug: True or False, got {debug!r}")
         self.action_space = spaces.Discrete(c.N_ACTIONS)
-        picture = spaces.Box(0, 255, (c.IMAGE_SIZE, c.IMAGE_SIZE, 3), np.uint8)
-        self.observation_space: spaces.Space[Any] = spaces.Dict({"image": picture})
-        """Of the picture alone: `object_information` has as many entries as the puzzle has objects."""
+        image = spaces.Box(0, 255, (c.IMAGE_SIZE, c.IMAGE_SIZE, 3), np.uint8)
+        self.observation_space: spaces.Space[Any] = spaces.Dict({"image": image})
+        """Only of the image: the number of entries in `object_information` depends on the puzzle."""
         self._session = _session(env_ip, port, debug=debug, deadline_s=deadline_s)
 
     def add_change_puzzle(
         self, mode: int, task: int | None = None, puzzle_config: dict[str, Any] | None = None
     ) -> None:
-        """Lay out a new puzzle: mode 0 a sandbox after `puzzle_config`, mode 1 one of the tasks 1–4.
+        """Lay out a new puzzle: in mode 0 a sandbox by `puzzle_config`, in mode 1 one of the tasks 1–4.
 
         Raises:
-            UsageError: if mode or task is none of these, or `puzzle_config` is missing in mode 0.
+            UsageError: if mode or task is not one of these, or `puzzle_config` is missing in mode 0.
             ConfigError: if `puzzle_config` holds an unknown key or a wrong value.
             PuzzleError: if no layout satisfies it.
         """
         self._session.change_puzzle(*_plain("add_change_puzzle", mode, task, puzzle_config))
 
     def set_observation(self, output: bool = False) -> None:
-        """Whether observations hold the `image`; `object_information` they always hold. At first they do not."""
+        """Set whether observations hold the `image`: at first, they hold only `object_information`."""
         self._session.set_observation(*_plain("set_observation", output))
 
     def configure_env(self, first: bool = False, action_space: str = "full", skip_frame: bool = True) -> None:
-        """Set how much a step is.
+        """Set the length of a step.
 
         Args:
-            first: the paper passes False and does not say what it is; nothing else is possible.
-            action_space: "full": the nine actions; nothing else is possible.
-            skip_frame: whether a step is a whole move; without it, it is one physics substep of 0.004 s. A move is then
-                begun by its action and goes on over ten steps, whose other actions are not looked at.
+            first: only False. The paper passes False and does not explain this argument.
+            action_space: only "full", the nine actions.
+            skip_frame: True: a step is a whole move. False: a step is one substep of 0.004 s; the first action starts
+                a move of ten steps, and the other nine actions are ignored.
         """
         self._session.configure(*_plain("configure_env", first, action_space, skip_frame))
 
     def turn_off_reward(self, value: bool) -> None:
-        """With True, rewards are 0, done is False, and goals keep their colours when touched."""
+        """If `value` is True, rewards are 0, done is False, and touched goals keep their colours."""
         self._session.turn_off_reward(*_plain("turn_off_reward", value))
 
     def reset(  # pyright: ignore[reportIncompatibleMethodOverride]
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> Observation:
-        """Lay the same puzzle out again; with a `seed`, another of its kind, which the seed determines.
+        """Start the same puzzle again; with a `seed`, start a puzzle of the same kind, determined by the seed.
 
         Raises:
-            UsageError: if there is no puzzle yet, or `options` holds any.
+            UsageError: if there is no puzzle yet, or `options` is not empty.
         """
         if options:
             raise UsageError(f"reset: options: there are none here, got {sorted(options)}; use add_change_puzzle")
         return self._session.reset(*_plain("reset", seed))
 
     def step(self, action: np.int64 | int) -> StepResult:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Take one of the nine actions: observation, reward, done, debug information.
+        """Take one of the nine actions; return observation, reward, done and debug information.
 
-        Done is True at the task's end and at its step budget, and stays so until the next reset or puzzle.
+        Done is True at the task's end and at its step budget, and stays True until the next reset or puzzle.
         """
         return self._session.step(*_plain("step", action))
 
     def close(self) -> None:
-        """Give up the world, here or on the server."""
+        """Close the world, here or on the server."""
         self._session.close()
 
 

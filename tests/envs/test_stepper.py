@@ -156,5 +156,5 @@ def test_other_threads_run_while_time_passes() -> None:
 def test_a_wrong_offset_is_found(field: str) -> None:
     right = native.layout()
     wrong = right._replace(**{field: getattr(right, field) + 8})
-    with pytest.raises(native.LayoutError, match=r"laid out .* install the version of mujoco"):
+    with pytest.raises(native.LayoutError, match=r"memory layout .* install the version of mujoco"):
         native.check(wrong)

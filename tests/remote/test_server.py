@@ -222,7 +222,7 @@ def test_without_a_server_the_error_says_where_and_what_to_do(client: Client) ->
 
 def test_a_vanished_clients_place_is_freed(client: Client) -> None:
     def pass_time(seconds: float) -> None:
-        for place in server.sessions._places.values():
+        for place in server.sessions._by_name.values():
             place.used -= seconds
 
     with Server("127.0.0.1", 0, None, clients=1, idle_s=50_000) as server:
