@@ -210,7 +210,7 @@ def test_without_skip_frame_a_world_left_alone_goes_on_by_substeps() -> None:
     env.configure_env(False, action_space="full", skip_frame=False)
     for _ in range(4):
         env.step(1)
-    with pytest.raises(UsageError, match=r"skip_frame: a move is going on, 6 substeps"):
+    with pytest.raises(UsageError, match=r"skip_frame: a move is unfinished, 6 substeps"):
         env.configure_env(False, action_space="full", skip_frame=True)
     moved = [env.step(0)[0]["object_information"][0]["position"][0] for _ in range(10)]
     assert moved[5] > moved[0]
