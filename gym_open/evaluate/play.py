@@ -21,12 +21,13 @@ from gym_open.envs.state import state_vector
 from gym_open.envs.tasks import step_budget
 from gym_open.errors import ArtefactError, UsageError
 from gym_open.evaluate.config import CheckpointConfig, EvaluateConfig, OracleConfig
-from gym_open.evaluate.proof import PolicyFacts, oracle_proof, policy_facts, task_free_proof
+from gym_open.evaluate.proof import oracle_proof, task_free_proof
 from gym_open.evaluate.scores import Episodes, summarise, write_episodes, write_scores
 from gym_open.formats.scores import Proof, Scores
 from gym_open.hardware import hardware
 from gym_open.precision import Precision
 from gym_open.replay.policy import action_generator, draw_action, load_policy_function
+from gym_open.results.runs import PolicyFacts, policy_facts
 
 Actor = Callable[[np.ndarray], np.ndarray]
 """From images (B, 84, 84, 3) uint8, or states (B, `STATE_SIZE`) float32, to action probabilities (B, 9)."""

@@ -8,17 +8,14 @@ What no record can show is who wrote them: see `Proof.rests_on`.
 """
 
 from collections.abc import Iterator
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import msgspec
-from msgspec import Meta
 
-from gym_open.artefacts import LINEAGE, Parent, code_version
+from gym_open.artefacts import Parent, code_version
 from gym_open.envs.puzzles.sets import reserved_digests
-from gym_open.errors import ArtefactError
 from gym_open.formats.scores import Proof
-from gym_open.precision import Precision
+from gym_open.results.runs import PolicyFacts
 
 _BELOW = {"policy": ("encoder", "log"), "encoder": ("release",), "release": ("log", "release"), "log": ()}
 """What each kind of link may be made of."""
@@ -32,44 +29,6 @@ _PAYLOAD = {
 """Files without which an artefact is none of its kind."""
 _LEARNED_FROM = {"none": [], "offline": ["encoder"], "online": ["log"]}
 """Parents of a policy, by what its facts say of its encoder."""
-
-
-class _Checkpoint(msgspec.Struct, frozen=True):
-    asked: int
-    step: int
-
-
-class PolicyFacts(msgspec.Struct, frozen=True):
-    """What a policy's lineage must say of it, to be scored."""
-
-    task: str
-    steps: int
-    agent: Annotated[str, Meta(pattern=r"^(?!(random|oracle|human)\Z)")]
-    """No name of what is no policy."""
-    seed: int
-    encoder: Literal["none", "offline", "online"]
-    from_encoder: bool
-    checkpoints: list[_Checkpoint]
-    precision: Precision | None = None
-    """Arithmetic in which it was trained; gym-open 0.1 did not say."""
-
-    def steps_at(self, asked: int) -> int | None:
-        """Agent steps behind the checkpoint that was asked for, None if there is none."""
-        return {checkpoint.asked: checkpoint.step for checkpoint in self.checkpoints}.get(asked)
-
-
-def policy_facts(policy: Parent, folder: Path) -> PolicyFacts:
-    """The facts of a policy; `folder` is named in errors.
-
-    Raises:
-        ArtefactError: if they are not those of a policy.
-    """
-    try:
-        return msgspec.convert(policy.lineage.facts, PolicyFacts)
-    except msgspec.ValidationError as error:
-        raise ArtefactError(
-            f"{folder / LINEAGE}: not a policy's facts as this version writes them: {error}; train it again"
-        ) from None
 
 
 def task_free_proof(policy: Parent | None, *, evaluator: str | None = None) -> Proof:

@@ -9,8 +9,8 @@ import numpy as np
 
 from gym_open import artefacts
 from gym_open.envs.puzzles import Puzzle
-from gym_open.evaluate.metrics import a_success, mean_return_within
 from gym_open.formats.scores import EPISODES, RECORD, Scores, episodes_schema
+from gym_open.results.metrics import a_success, mean_return_within
 
 
 class Episodes(msgspec.Struct, frozen=True):

@@ -18,12 +18,12 @@ from gym_open.envs.tasks import step_budget
 from gym_open.errors import ArtefactError, ConfigError
 from gym_open.evaluate.config import CheckpointConfig, EvaluateConfig, OracleConfig
 from gym_open.evaluate.human import HumanConfig
-from gym_open.evaluate.metrics import a_success
 from gym_open.evaluate.play import chooser, load_actor, play, uniform
-from gym_open.evaluate.proof import human_proof, oracle_proof, policy_facts, task_free_proof
+from gym_open.evaluate.proof import human_proof, oracle_proof, task_free_proof
 from gym_open.evaluate.scores import Episodes, summarise
 from gym_open.formats.scores import EPISODES, RECORD, Proof, Scores, read_episodes, read_scores
 from gym_open.replay.episodes import puzzle_of, refused, replay_row
+from gym_open.results.runs import policy_facts, rewards_of
 
 Row = dict[str, Any]
 
@@ -122,12 +122,7 @@ def _numbers(claim: _Claim) -> dict[str, Any]:
     """What the record must say of its episodes, once each says the same of itself."""
     record, rows = claim.record, claim.rows
     N = step_budget(record.task)
-    rewards = np.zeros((len(rows), N))
-    for own, row in zip(rewards, rows, strict=True):
-        own[: row["steps"]] = row["rewards"]
-        for name, expected in (("a_success", a_success(np.cumsum(own))), ("return", float(own.sum()))):
-            if not _same(row[name], expected):
-                raise refused(claim.file, row, f"`{name}` is {row[name]}, but {expected} follows from its rewards")
+    rewards = rewards_of(claim.file, rows, N)
     steps, terminated = (np.array([row[name] for row in rows]) for name in ("steps", "terminated"))
     return summarise(Episodes(np.zeros((len(rows), N), np.int8), rewards, steps, terminated))
 

@@ -12,7 +12,7 @@ from stable_baselines3.common.env_util import make_vec_env
 
 import gym_open
 from gym_open.envs.env import OpenEnv
-from gym_open.evaluate.metrics import a_success, mean_return_within
+from gym_open.results.metrics import a_success, mean_return_within
 
 ID = gym_open.ENV_IDS["goal-seeking"]
 BUDGET = 100

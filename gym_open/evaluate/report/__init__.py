@@ -9,8 +9,10 @@ import msgspec
 from gym_open import artefacts
 from gym_open.config import check, to_dict
 from gym_open.evaluate.config import ReportConfig
-from gym_open.evaluate.report.gather import Run, Sources, gather, one_line
+from gym_open.evaluate.report.gather import ReportSources, gather
 from gym_open.evaluate.report.treatment import check_treatments, unchecked
+from gym_open.results.names import one_line
+from gym_open.results.runs import ScoredRun
 
 __all__ = ["ReportConfig", "write_report"]
 
@@ -50,11 +52,11 @@ def write_report(config: ReportConfig, sources: Sequence[Path], out: Path) -> ar
     return artefacts.build(out, kind="report", config=inputs, parents=found.folders, work=work)
 
 
-def _write(folder: Path, config: ReportConfig, found: Sources) -> Mapping[str, Any]:
+def _write(folder: Path, config: ReportConfig, found: ReportSources) -> Mapping[str, Any]:
     from gym_open.evaluate.report import notes, page, provenance
     from gym_open.evaluate.report.figures import draw
-    from gym_open.evaluate.report.probes import probed
-    from gym_open.evaluate.report.results import evaluate_runs
+    from gym_open.evaluate.report.numbers import evaluate_runs
+    from gym_open.evaluate.report.probes import probe_tables
 
     results = evaluate_runs(found.runs, config)
     proven = provenance.proofs(found.runs, results.agents)
@@ -66,7 +68,7 @@ def _write(folder: Path, config: ReportConfig, found: Sources) -> Mapping[str, A
         findings=list(notes.findings(results)),
         notes=list(notes.notes(results, found.runs, proven, unchecked(found.runs, found.configs))) + found.left_out,
         proofs=proven,
-        probes=probed(found.probes, found.runs),
+        probes=probe_tables(found.probes, found.runs),
         settings=settings,
         recipes=recipes,
         makers=_makers(found.runs),
@@ -81,7 +83,7 @@ def _write(folder: Path, config: ReportConfig, found: Sources) -> Mapping[str, A
     return {"agents": results.agents, "tasks": results.tasks, "split": config.split, "scores": len(found.runs)}
 
 
-def _makers(runs: Sequence[Run]) -> list[dict[str, Any]]:
+def _makers(runs: Sequence[ScoredRun]) -> list[dict[str, Any]]:
     """What made the scores: distinct code, packages and hardware, with the number of scores of each."""
     counted: dict[bytes, dict[str, Any]] = {}
     for run in runs:

@@ -7,9 +7,9 @@ import io
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
-from gym_open.evaluate.report.results import Band, Cell, Results
-from gym_open.evaluate.report.words import steps
+from gym_open.evaluate.report.numbers import Cell, ReportNumbers, steps
 from gym_open.plots import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, plain_style
+from gym_open.results.records import IntervalCurve
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,7 +37,7 @@ class Drawn(NamedTuple):
     """What it shows, for those who do not see it."""
 
 
-def draw(results: Results) -> list[Drawn]:
+def draw(results: ReportNumbers) -> list[Drawn]:
     """Mean return against actions for every task, and A-Success against steps where there are checkpoints."""
     styles = _styles(results.agents)
     made = []
@@ -75,7 +75,7 @@ def _styles(agents: Sequence[str]) -> dict[str, tuple[str, object, str]]:
     return styles | {agent: (*style, "") for agent, style in _FIXED.items()}
 
 
-def _ends(cells: Sequence[Cell], what: str, bands: Sequence[Band]) -> str:
+def _ends(cells: Sequence[Cell], what: str, bands: Sequence[IntervalCurve]) -> str:
     values = (f"{cell.agent} {band.value[-1]:.3f}" for cell, band in zip(cells, bands, strict=True))
     return f"{what}: {', '.join(values)}"
 
@@ -101,7 +101,7 @@ def _learning(axes: "Axes", cells: Sequence[Cell], styles: dict[str, tuple[str, 
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: steps(value)))
 
 
-def _band(axes: "Axes", band: Band, agent: str, style: tuple[str, object, str], *, marked: bool) -> None:
+def _band(axes: "Axes", band: IntervalCurve, agent: str, style: tuple[str, object, str], *, marked: bool) -> None:
     colour, dash, marker = style
     axes.fill_between(band.x, band.low, band.high, color=colour, alpha=0.13, linewidth=0)
     axes.plot(

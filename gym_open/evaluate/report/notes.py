@@ -4,12 +4,12 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 
 from gym_open.envs.puzzles.sets import PER_SET
-from gym_open.evaluate.paper import PAPER_STEPS
-from gym_open.evaluate.report.gather import Run, is_trained, one_line, standing
+from gym_open.evaluate.report.numbers import Cell, ReportNumbers, count, interval, number, signed, steps
 from gym_open.evaluate.report.provenance import Proven
-from gym_open.evaluate.report.results import Cell, Results
-from gym_open.evaluate.report.words import count, interval, number, signed, steps
-from gym_open.formats.statistics import least_p_value
+from gym_open.results.names import is_trained, one_line, standing
+from gym_open.results.paper import PAPER_STEPS
+from gym_open.results.runs import ScoredRun
+from gym_open.results.statistics import least_p_value
 
 _FEW = 5
 """Runs below which comparisons of agents are hardly ever firm."""
@@ -19,7 +19,7 @@ of the difference missed 0 in 19 to 57% of simulated cases (puzzles spread .2, r
 """
 
 
-def findings(results: Results) -> Iterator[str]:
+def findings(results: ReportNumbers) -> Iterator[str]:
     """Two sentences a task: who is best, and who differs from the reference beyond the interval of the difference."""
     for task in results.tasks:
         cells = [cell for cell in results.cells if cell.task == task]
@@ -57,7 +57,9 @@ def _gains(trained: Sequence[Cell], reference: str | None) -> str:
     return found
 
 
-def notes(results: Results, runs: Sequence[Run], proven: Sequence[Proven], unchecked: Sequence[str]) -> Iterator[str]:
+def notes(
+    results: ReportNumbers, runs: Sequence[ScoredRun], proven: Sequence[Proven], unchecked: Sequence[str]
+) -> Iterator[str]:
     """Everything that weakens what the tables say; `unchecked` are agents whose configurations were not all seen."""
     yield from _on_runs(results)
     yield from _on_encoders(runs)
@@ -77,7 +79,7 @@ def notes(results: Results, runs: Sequence[Run], proven: Sequence[Proven], unche
     yield from results.left_behind
 
 
-def _on_encoders(runs: Sequence[Run]) -> Iterator[str]:
+def _on_encoders(runs: Sequence[ScoredRun]) -> Iterator[str]:
     """Runs that share one encoder are no samples of what play is worth."""
     made: dict[tuple[str, str], dict[int | str, str]] = {}
     for run in runs:
@@ -92,7 +94,7 @@ def _on_encoders(runs: Sequence[Run]) -> Iterator[str]:
         )
 
 
-def _on_runs(results: Results) -> Iterator[str]:
+def _on_runs(results: ReportNumbers) -> Iterator[str]:
     trained = [cell for cell in results.cells if is_trained(cell.agent)]
     single = Counter(cell.agent for cell in trained if len(cell.seeds) == 1)
     if single:
@@ -115,7 +117,7 @@ def _on_runs(results: Results) -> Iterator[str]:
         yield f"Not scored: {', '.join(holes)}. Figures over tasks take the tasks that an agent has."
 
 
-def _on_comparisons(results: Results) -> Iterator[str]:
+def _on_comparisons(results: ReportNumbers) -> Iterator[str]:
     runs = [len(cell.seeds) for cell in results.cells if is_trained(cell.agent) and len(cell.seeds) > 1]
     if len(runs) > 1 and min(runs) < _FEW:
         n = min(runs)
@@ -143,7 +145,7 @@ def _on_proofs(proven: Sequence[Proven]) -> Iterator[str]:
             )
 
 
-def _on_makers(runs: Sequence[Run]) -> Iterator[str]:
+def _on_makers(runs: Sequence[ScoredRun]) -> Iterator[str]:
     codes = Counter(one_line(run.lineage.code) for run in runs)
     if len(codes) > 1:
         listed = ", ".join(f"{code} ({count(n, 'score')})" for code, n in sorted(codes.items()))

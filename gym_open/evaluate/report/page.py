@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from gym_open.evaluate.config import ReportConfig
-from gym_open.evaluate.report import words
+from gym_open.evaluate.report import numbers
 from gym_open.evaluate.report.figures import Drawn
-from gym_open.evaluate.report.gather import standing
-from gym_open.evaluate.report.probes import Probed
+from gym_open.evaluate.report.numbers import Cell, ReportNumbers
+from gym_open.evaluate.report.probes import ProbeTable
 from gym_open.evaluate.report.provenance import Proven, Recipe, Setting
-from gym_open.evaluate.report.results import Cell, Results
 from gym_open.markdown import escaped
+from gym_open.results.names import standing
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -27,11 +27,11 @@ class Content(msgspec.Struct, frozen=True):
 
     title: str
     config: dict[str, Any]
-    results: Results
+    results: ReportNumbers
     findings: list[str]
     notes: list[str]
     proofs: list[Proven]
-    probes: list[Probed]
+    probes: list[ProbeTable]
     settings: list[Setting]
     recipes: list[Recipe]
     makers: list[dict[str, Any]]
@@ -59,7 +59,7 @@ def _environment() -> "Environment":
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    environment.filters |= {name: getattr(words, name) for name in ("number", "interval", "signed", "steps")}
+    environment.filters |= {name: getattr(numbers, name) for name in ("number", "interval", "signed", "steps")}
     environment.filters |= {"data": _data, "cell": escaped, "breakable": _breakable}
     return environment
 
@@ -79,7 +79,7 @@ def _render(template: str, content: Content, figures: Sequence[Drawn], config: R
             compared=_compared(results),
             percent=f"{100 * config.confidence:.3g}%",
             bound=_bound,
-            count=words.count,
+            count=numbers.count,
             crossing=lambda task: _crossing(results, task),
             improvement=lambda agent, other: by_pair.get((agent, other)),
             standing=standing,
@@ -87,19 +87,19 @@ def _render(template: str, content: Content, figures: Sequence[Drawn], config: R
     )
 
 
-def _compared(results: Results) -> list[str]:
+def _compared(results: ReportNumbers) -> list[str]:
     """Agents of the matrix, in the order of the rows."""
     there = {one.agent for one in results.improvements}
     return [agent for agent in results.agents if agent in there]
 
 
-def _best(results: Results) -> dict[str, str]:
+def _best(results: ReportNumbers) -> dict[str, str]:
     """The agent with the highest mean of those that are compared, by task."""
     compared = [cell for cell in results.cells if standing(cell.agent) == 0]
     return {cell.task: cell.agent for cell in sorted(compared, key=lambda cell: cell.score.value)}
 
 
-def _crossing(results: Results, task: str) -> tuple[list[Cell], list[str]]:
+def _crossing(results: ReportNumbers, task: str) -> tuple[list[Cell], list[str]]:
     """Of a task, agents that reached some threshold in some run, and the names of the other trained ones."""
     trained = [cell for cell in results.cells if cell.task == task and cell.trained]
     there = [cell for cell in trained if any(steps is not None for one in cell.crossings for steps in one.steps)]
@@ -110,7 +110,7 @@ def _bound(cell: Cell, value: float | None, *, short: bool = False) -> str:
     """Steps to a threshold: a bound from above where the first checkpoint is there already."""
     if value is None:
         return "–" if short else "not reached"
-    return f"{'≤ ' if value <= cell.learning.x[0] else ''}{words.steps(value)}"
+    return f"{'≤ ' if value <= cell.learning.x[0] else ''}{numbers.steps(value)}"
 
 
 def _breakable(name: str) -> "Markup":

@@ -6,23 +6,12 @@ import msgspec
 
 from gym_open.artefacts import Lineage
 from gym_open.errors import ArtefactError
-from gym_open.evaluate.report.gather import Probe, Run, one_line
-from gym_open.evaluate.report.results import Estimate
+from gym_open.results.names import one_line
+from gym_open.results.records import ProbeRecord, ProbeTarget
+from gym_open.results.runs import ScoredRun
 
 
-class Row(msgspec.Struct, frozen=True):
-    """One target of a probe."""
-
-    measure: str
-    guess: float
-    """Score without looking at the picture."""
-    scores: dict[str, Estimate]
-    """By kind of features: `trained`, `untrained`, perhaps `pixels`."""
-    gain: Estimate
-    """`trained` less `untrained`."""
-
-
-class Probed(msgspec.Struct, frozen=True):
+class ProbeTable(msgspec.Struct, frozen=True):
     """One encoder."""
 
     encoder: str
@@ -30,32 +19,28 @@ class Probed(msgspec.Struct, frozen=True):
     agents: list[str]
     """Agents of the report whose policies started from it."""
     columns: list[str]
-    rows: dict[str, Row]
+    rows: dict[str, ProbeTarget]
 
 
-def probed(probes: Sequence[Probe], runs: Sequence[Run]) -> list[Probed]:
-    """What the probes found, those of encoders that agents of the report started from first.
+def probe_tables(probes: Sequence[ProbeRecord], runs: Sequence[ScoredRun]) -> list[ProbeTable]:
+    """Make a table per probe; encoders that agents of the report started from are first.
 
     Raises:
-        ArtefactError: if a record is not as `gym-open train probe` writes it.
+        ArtefactError: if a probe names no encoder.
     """
-    tables = [_probed(probe, runs) for probe in probes]
-    return sorted(tables, key=lambda one: (not one.agents, one.agents, one.encoder))
+    tables = [_table(probe, runs) for probe in probes]
+    return sorted(tables, key=lambda table: (not table.agents, table.agents, table.encoder))
 
 
-def _probed(probe: Probe, runs: Sequence[Run]) -> Probed:
-    try:
-        rows = msgspec.convert(probe.record.get("targets"), dict[str, Row])
-    except msgspec.ValidationError as error:
-        raise ArtefactError(f"{probe.folder}: probe.json: {error}; probe the encoder again") from None
+def _table(probe: ProbeRecord, runs: Sequence[ScoredRun]) -> ProbeTable:
     if not probe.lineage.parents:
         raise ArtefactError(f"{probe.folder}: its lineage names no encoder; probe the encoder again")
     parent = probe.lineage.parents[0]
-    return Probed(
+    return ProbeTable(
         encoder=f"{one_line(parent.lineage.kind)} {parent.digest[:12]}",
         agents=list(dict.fromkeys(run.name for run in runs if parent.digest in _digests(run.lineage))),
-        columns=sorted({one_line(name) for row in rows.values() for name in row.scores}, key=_place),
-        rows={one_line(target): row for target, row in rows.items()},
+        columns=sorted({one_line(name) for row in probe.targets.values() for name in row.scores}, key=_place),
+        rows={one_line(target): row for target, row in probe.targets.items()},
     )
 
 

@@ -9,8 +9,9 @@ import msgspec
 from gym_open.artefacts import CONFIG, Lineage, Parent, canonical_json
 from gym_open.config import to_toml
 from gym_open.evaluate.proof import task_free_proof
-from gym_open.evaluate.report.gather import UNTRAINED, Run, one_line
 from gym_open.formats.scores import Proof
+from gym_open.results.names import UNTRAINED, one_line
+from gym_open.results.runs import ScoredRun
 from gym_open.terminal import printable
 
 _VARIES = ("seed", "task", "agent", "at")
@@ -63,9 +64,9 @@ class Recipe(msgspec.Struct, frozen=True):
     commands: list[str]
 
 
-def proofs(runs: Sequence[Run], agents: Sequence[str]) -> list[Proven]:
+def proofs(runs: Sequence[ScoredRun], agents: Sequence[str]) -> list[Proven]:
     """The task-free proof of every run, equal ones of an agent together, agents in the given order."""
-    groups: dict[tuple[str, str, tuple[str, ...], str], list[tuple[Run, Proof]]] = {}
+    groups: dict[tuple[str, str, tuple[str, ...], str], list[tuple[ScoredRun, Proof]]] = {}
     for run in runs:
         proof = _proof(run)
         reasons = tuple(map(printable, proof.reasons))
@@ -83,7 +84,7 @@ def proofs(runs: Sequence[Run], agents: Sequence[str]) -> list[Proven]:
     ]  # fmt: skip
 
 
-def _chains(members: Sequence[tuple[Run, Proof]]) -> list[Chain]:
+def _chains(members: Sequence[tuple[ScoredRun, Proof]]) -> list[Chain]:
     policies: dict[tuple[str, ...], dict[str, None]] = {}
     for run, proof in members:
         if run.lineage.parents:
@@ -92,7 +93,7 @@ def _chains(members: Sequence[tuple[Run, Proof]]) -> list[Chain]:
     return [Chain(list(links), list(own)) for links, own in policies.items()]
 
 
-def _proof(run: Run) -> Proof:
+def _proof(run: ScoredRun) -> Proof:
     """Walked in the records that the scores carry, whatever scores.json says."""
     if run.record.agent in UNTRAINED and run.record.proof.verdict in ("no encoder", "not applicable"):
         return run.record.proof
@@ -105,7 +106,7 @@ def _proof(run: Run) -> Proof:
 class _Link(msgspec.Struct, frozen=True):
     """An artefact of a chain, or the scores at its head."""
 
-    run: Run
+    run: ScoredRun
     place: str
     """The kinds on the way to it, which is what tells the links of a chain apart: `policy/encoder/release`."""
     kind: str
@@ -133,7 +134,7 @@ class _Link(msgspec.Struct, frozen=True):
 
 
 def recipes(
-    runs: Sequence[Run], agents: Sequence[str], configs: Mapping[str, dict[str, Any]]
+    runs: Sequence[ScoredRun], agents: Sequence[str], configs: Mapping[str, dict[str, Any]]
 ) -> tuple[list[Setting], list[Recipe]]:
     """The distinct configurations behind some runs, and the commands for every agent.
 
@@ -180,7 +181,7 @@ def _settings(links: Sequence[_Link]) -> dict[tuple[str, bytes | str], Setting]:
     return named
 
 
-def _chain(run: Run, configs: Mapping[str, dict[str, Any]]) -> _Link:
+def _chain(run: ScoredRun, configs: Mapping[str, dict[str, Any]]) -> _Link:
     def link(parent: Parent | Lineage, sha256: str, place: str) -> _Link:
         lineage = parent.lineage if isinstance(parent, Parent) else parent
         place = f"{place}/{lineage.kind}"
@@ -193,7 +194,7 @@ def _chain(run: Run, configs: Mapping[str, dict[str, Any]]) -> _Link:
     return link(run.lineage, run.config_sha256, "")
 
 
-def _commands(run: Run, heads: Sequence[_Link], named: Mapping[tuple[str, bytes | str], Setting]) -> list[str]:
+def _commands(run: ScoredRun, heads: Sequence[_Link], named: Mapping[tuple[str, bytes | str], Setting]) -> list[str]:
     """Of all runs, with `$TASK` and `$SEED` for what varies. A line that is not for all of them says for which."""
     if run.record.agent == "oracle":
         return [f"gym-open evaluate --task $TASK --split {run.record.split} --oracle --out scores"]

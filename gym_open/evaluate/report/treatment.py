@@ -5,7 +5,8 @@ from typing import Any, NamedTuple
 
 from gym_open.artefacts import CONFIG, Parent
 from gym_open.errors import ArtefactError
-from gym_open.evaluate.report.gather import UNTRAINED, Run, one_line
+from gym_open.results.names import UNTRAINED, one_line
+from gym_open.results.runs import ScoredRun
 
 Configs = Mapping[str, Mapping[str, Any]]
 """Configurations by SHA-256 of their file."""
@@ -29,7 +30,7 @@ class _Difference(NamedTuple):
     theirs: Any
 
 
-def check_treatments(runs: Sequence[Run], configs: Configs) -> None:
+def check_treatments(runs: Sequence[ScoredRun], configs: Configs) -> None:
     """See to it that the runs of each row of a report were made in one way.
 
     Configurations are compared as far as they are at hand; `unchecked` names the rows where some are not.
@@ -37,7 +38,7 @@ def check_treatments(runs: Sequence[Run], configs: Configs) -> None:
     Raises:
         ArtefactError: naming two runs of an agent that differ in more than seed and task, and where.
     """
-    first: dict[str, Run] = {}
+    first: dict[str, ScoredRun] = {}
     for run in runs:
         if run.record.agent in UNTRAINED:
             continue
@@ -51,7 +52,7 @@ def check_treatments(runs: Sequence[Run], configs: Configs) -> None:
             )
 
 
-def unchecked(runs: Sequence[Run], configs: Configs) -> list[str]:
+def unchecked(runs: Sequence[ScoredRun], configs: Configs) -> list[str]:
     """Agents of several policies that were compared without some of their configurations."""
     policies: dict[str, set[str]] = {}
     unseen: set[str] = set()
@@ -63,7 +64,7 @@ def unchecked(runs: Sequence[Run], configs: Configs) -> list[str]:
     return [name for name, own in policies.items() if len(own) > 1 and name in unseen]
 
 
-def _differences(one: Run, other: Run, configs: Configs) -> Iterator[_Difference]:
+def _differences(one: ScoredRun, other: ScoredRun, configs: Configs) -> Iterator[_Difference]:
     ours, theirs = dict(_links(one)), dict(_links(other))
     both = [(link, theirs[place]) for place, link in ours.items() if place in theirs]
     for a, b in both:
@@ -78,7 +79,7 @@ def _differences(one: Run, other: Run, configs: Configs) -> Iterator[_Difference
             yield from _unequal(a.lineage.kind, *(dict(_flat(own, free)) for own in (left, right)))
 
 
-def _links(run: Run) -> Iterator[tuple[str, Parent]]:
+def _links(run: ScoredRun) -> Iterator[tuple[str, Parent]]:
     """The policy and all that it comes from, by the kinds on the way to each."""
 
     def walk(link: Parent, place: str) -> Iterator[tuple[str, Parent]]:

@@ -1,11 +1,11 @@
-"""What Rerun's plots cannot show: the training curve of one encoder as a figure, and probes with their intervals."""
+"""Figures that Rerun's plots cannot show: the training curve of one encoder, and probes with their intervals."""
 
 import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from gym_open.plots import BLUE, GREY, VERMILION, draw_png, finish
-from gym_open.viz.curves.sources import Curve, Probed
+from gym_open.results.records import ProbeRecord, TrainingCurve
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -13,13 +13,13 @@ if TYPE_CHECKING:
 
 _HELD_OUT = "held_out_"
 _FEATURES = {"trained": (BLUE, "o"), "untrained": (VERMILION, "s"), "pixels": (GREY, "^")}
-"""Colour and marker of what a probe looks at."""
+"""Colour and marker of each kind of features."""
 _FEW = 8
-"""Points of a curve up to which each is marked."""
+"""A curve of at most so many points has a marker at each."""
 
 
-def draw_curve(curve: Curve) -> bytes:
-    """PNG: each column over the first in a panel of its own, the same on held-out data dashed in the same panel."""
+def draw_curve(curve: TrainingCurve) -> bytes:
+    """Return a PNG with a panel per column over the first column; held-out data are dashed in the same panel."""
     first, *names = curve.columns
     own = [name for name in names if not name.startswith(_HELD_OUT)]
     across = min(3, math.ceil(math.sqrt(max(len(own), 1))))
@@ -39,16 +39,16 @@ def draw_curve(curve: Curve) -> bytes:
     return draw_png(4.4 * across, 2.9 * down, paint)
 
 
-def _line(axes: "Axes", curve: Curve, name: str, style: dict[str, str]) -> None:
+def _line(axes: "Axes", curve: TrainingCurve, name: str, style: dict[str, str]) -> None:
     x, y = curve.known(name)
     if x.size:
         axes.plot(x, y, **style, marker="o" if x.size <= _FEW else "", markersize=4)  # pyright: ignore[reportArgumentType]
 
 
-def draw_probes(probes: Sequence[Probed]) -> bytes:
-    """PNG: a panel a target with a line an encoder: its score, that of an untrained one and that of the pixels.
+def draw_probes(probes: Sequence[ProbeRecord]) -> bytes:
+    """Return a PNG with a panel per target and a line per encoder: scores of trained and untrained features and pixels.
 
-    Bars are 95% intervals; the dotted line is the guess without a picture.
+    Bars are 95% intervals; the dotted line is a guess without the image.
     """
     targets = {name: target.measure for probe in probes for name, target in probe.targets.items()}
     across = min(3, max(len(targets), 1))
@@ -63,18 +63,18 @@ def draw_probes(probes: Sequence[Probed]) -> bytes:
                 if name in probe.targets:
                     axes.plot([probe.targets[name].guess] * 2, [place - 0.4, place + 0.4], color="black", linestyle=":")
             axes.set(title=f"{name} ({measure})", ylim=(len(probes) - 0.5, -0.5))
-            axes.set_yticks(range(len(probes)), [probe.name for probe in probes])
+            axes.set_yticks(range(len(probes)), [probe.folder.name for probe in probes])
             axes.grid(axis="x", alpha=0.3, linewidth=0.6)
         for axes in panels[len(targets) :]:
             axes.set_axis_off()
         axes = panels[0]
-        axes.plot([], [], color="black", linestyle=":", label="guess without a picture")
+        axes.plot([], [], color="black", linestyle=":", label="guess without the image")
         figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
 
     return draw_png(3.8 * across + 1.5, (0.9 + 0.42 * len(probes)) * down + 0.4, paint)
 
 
-def _intervals(axes: "Axes", target: str, kind: str, offset: float, probes: Sequence[Probed]) -> None:
+def _intervals(axes: "Axes", target: str, kind: str, offset: float, probes: Sequence[ProbeRecord]) -> None:
     there = [
         (place + offset, probe.targets[target].scores[kind])
         for place, probe in enumerate(probes)

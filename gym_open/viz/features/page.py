@@ -34,7 +34,7 @@ def view(config: VizConfig, source: Path, choice: Choice) -> View:  # noqa: ARG0
         UsageError: if something else than a release was picked.
     """
     from gym_open.formats.releases import open_release
-    from gym_open.viz.curves.sources import read_curve
+    from gym_open.results.records import read_curve
     from gym_open.viz.features import layout
 
     choice.refuse_others("an encoder", {"release"})

@@ -19,7 +19,7 @@ from gym_open.errors import ArtefactError, UsageError
 from gym_open.formats.scores import read_scores
 from gym_open.replay.episodes import replay_puzzle
 from gym_open.replay.policy import PolicyFunction, action_generator, draw_action, load_policy_function
-from gym_open.viz.puzzles.names import agent_names
+from gym_open.results.names import distinct_names
 
 WITNESS = "witness"
 SEED = 0
@@ -159,7 +159,7 @@ def play_all(puzzle: str, sources: Sequence[Path]) -> Puzzled:
     told = {record.policy for record in scored.values()}
     players = {each: scored.get(each) for each in kinds if each in scored or artefacts.digest(each) not in told}
     episodes = list[Episode]()
-    for source, name in agent_names(players).items():
+    for source, name in distinct_names(players).items():
         if record := scored.get(source):
             policy = policies.get(record.policy or "")
             folder = policy and _scored_folder(policy, source, record.trained)

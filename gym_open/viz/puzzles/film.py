@@ -9,8 +9,8 @@ from PIL import Image, ImageDraw
 from gym_open import progress
 from gym_open.envs.world import World
 from gym_open.viz.film import FAINT, INK, PAPER, even, typeface
+from gym_open.viz.puzzles.colours import COLOURS, STYLES, colour
 from gym_open.viz.puzzles.episodes import Episode, Puzzled
-from gym_open.viz.puzzles.names import COLOURS, STYLES, colour
 from gym_open.viz.render import DIRECTIONS, Look, Moment, Painter, moments, painter
 from gym_open.viz.strip import Curve, Plot, Strip
 

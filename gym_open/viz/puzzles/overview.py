@@ -22,8 +22,8 @@ from gym_open.envs.constants import IMAGE_SIZE
 from gym_open.envs.puzzles.sets import puzzle_by_id
 from gym_open.errors import UsageError
 from gym_open.viz.documents import cell, table
-from gym_open.viz.puzzles.names import colour
-from gym_open.viz.puzzles.tables import HARDEST, Table, commands, read_tables
+from gym_open.viz.puzzles.colours import colour
+from gym_open.viz.puzzles.tables import HARDEST, TaskTable, commands, read_tables
 from gym_open.viz.render import draw_sheet
 from gym_open.viz.view import View
 
@@ -73,25 +73,27 @@ def overview(sources: Sequence[Path]) -> View:
     )
 
 
-def _fill(rec: rr.RecordingStream, group: Table) -> None:
+def _fill(rec: rr.RecordingStream, group: TaskTable) -> None:
     root = group.name
     rec.log(f"{root}/about", rr.TextDocument(_about(group), media_type="text/markdown"), static=True)
     rec.log(f"{root}/hardest", rr.Image(np.asarray(_beginnings(group))), static=True)
     at = [rr.TimeColumn(TIMELINE, sequence=np.arange(1, group.budget + 1))]
     for n, agent in enumerate(group.agents):
-        line = rr.SeriesLines(names=f"{agent.name}: A-Success {agent.record.a_success:.3f}", colors=colour(n), widths=2)
+        line = rr.SeriesLines(
+            names=f"{agent.name}: A-Success {agent.run.record.a_success:.3f}", colors=colour(n), widths=2
+        )
         rec.log(f"{root}/within/{n}", line, static=True)
-        rec.send_columns(f"{root}/within/{n}", at, rr.Scalars.columns(scalars=agent.record.mean_return_within))
-        for name, values in (("returns", agent.earned[:, -1]), ("a_success", agent.a_success)):
+        rec.send_columns(f"{root}/within/{n}", at, rr.Scalars.columns(scalars=agent.run.record.mean_return_within))
+        for name, values in (("returns", agent.run.returns[:, -1]), ("a_success", agent.run.values)):
             rec.log(f"{root}/{name}/{n}", rr.BarChart(np.sort(values)[::-1], color=colour(n)), static=True)
         _log_dots(rec, group, n, at)
 
 
-def _log_dots(rec: rr.RecordingStream, group: Table, n: int, at: list[rr.TimeColumn]) -> None:
+def _log_dots(rec: rr.RecordingStream, group: TaskTable, n: int, at: list[rr.TimeColumn]) -> None:
     agent, entity = group.agents[n], f"{group.name}/puzzles/{n}"
     tens, units = np.divmod(agent.numbers, _ROW)
     corner = np.array([_WIDTH * (n % _across(group)), _HEIGHT * (n // _across(group))])
-    words = f"{agent.name}\n{int(agent.solved.sum())} of {len(agent.puzzles)} solved"
+    words = f"{agent.name}\n{int(agent.solved.sum())} of {len(agent.run.puzzles)} solved"
     head = rr.Points2D(
         corner + np.array([_ROW / 2 - 0.5, -4.4]), radii=0.001, colors=colour(n), labels=words, show_labels=True
     )
@@ -99,42 +101,42 @@ def _log_dots(rec: rr.RecordingStream, group: Table, n: int, at: list[rr.TimeCol
     dots = rr.Points2D(
         np.stack([units, tens], axis=1) + corner,
         radii=0.42,
-        labels=[f"{item}: {words}" for item, words in zip(agent.puzzles, agent.outcomes(), strict=True)],
+        labels=[f"{item}: {words}" for item, words in zip(agent.run.puzzles, agent.outcomes(), strict=True)],
         show_labels=False,
     )
     rec.log(entity, dots, static=True)
-    share = np.clip(agent.earned / group.best[agent.numbers][:, None], 0, 1).T  # (N, puzzles)
+    share = np.clip(agent.run.returns / group.best[agent.numbers][:, None], 0, 1).T  # (N, puzzles)
     colours = np.stack([np.interp(share, [0, 0.5, 1], _EARNED[:, i]) for i in range(3)], axis=-1).astype(np.uint8)
-    lost = agent.in_danger[None] & (np.arange(1, group.budget + 1)[:, None] >= agent.steps[None])
+    lost = agent.in_danger[None] & (np.arange(1, group.budget + 1)[:, None] >= agent.run.steps[None])
     colours[lost] = _DANGER
     columns = rr.Points2D.columns(colors=colours.reshape(-1, 3)).partition([len(tens)] * group.budget)
     rec.send_columns(entity, at, columns)
 
 
-def _across(group: Table) -> int:
+def _across(group: TaskTable) -> int:
     """Agents side by side in the picture of who solved what."""
     return math.ceil(math.sqrt(len(group.agents) / 2))
 
 
-def _beginnings(group: Table) -> Image.Image:
+def _beginnings(group: TaskTable) -> Image.Image:
     """How the hardest puzzles begin."""
     hardest = {item: puzzle_by_id(item) for item in group.hardest[:HARDEST]}
     return draw_sheet(hardest, look="observation", size=2 * IMAGE_SIZE, columns=_ROW // 2)
 
 
-def _about(group: Table) -> str:
+def _about(group: TaskTable) -> str:
     rows = [
         [
-            cell(agent.name), f"{agent.record.a_success:.3f} ± {agent.record.a_success_half_width_95:.3f}",
-            f"{agent.record.mean_return:.3f}", f"{int(agent.solved.sum())} of {len(agent.puzzles)}",
+            cell(agent.name), f"{agent.run.record.a_success:.3f} ± {agent.run.record.a_success_half_width_95:.3f}",
+            f"{agent.run.record.mean_return:.3f}", f"{int(agent.solved.sum())} of {len(agent.run.puzzles)}",
         ]
         for agent in group.agents
     ]  # fmt: skip
-    hard = [
-        [item, f"{mean:.3f}", f"{sum(map(bool, who))} of {len(who)}"]
-        for item, mean in zip(group.hardest[:HARDEST], group.difficulty, strict=False)
-        for who in [[agent.solved[agent.puzzles.index(item)] for agent in group.agents if item in agent.puzzles]]
-    ]
+    hard = []
+    for item, mean in zip(group.hardest[:HARDEST], group.difficulty, strict=False):
+        played = [agent for agent in group.agents if item in agent.run.puzzles]
+        solved = sum(bool(agent.solved[agent.run.puzzles.index(item)]) for agent in played)
+        hard.append([item, f"{mean:.3f}", f"{solved} of {len(played)}"])
     return "\n".join(
         [
             f"# {cell(group.name)}",
@@ -154,7 +156,7 @@ def _about(group: Table) -> str:
     )
 
 
-def _layout(group: Table) -> rrb.Horizontal:
+def _layout(group: TaskTable) -> rrb.Horizontal:
     root = f"/{group.name}"
     across = _across(group)
     down = math.ceil(len(group.agents) / across)

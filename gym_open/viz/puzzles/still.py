@@ -8,10 +8,10 @@ import numpy as np
 from gym_open.envs.constants import IMAGE_SIZE
 from gym_open.envs.puzzles.sets import puzzle_by_id
 from gym_open.envs.world import World
+from gym_open.viz.puzzles.colours import COLOURS, STYLES
 from gym_open.viz.puzzles.episodes import Episode, Puzzled
 from gym_open.viz.puzzles.film import returns_plot
-from gym_open.viz.puzzles.names import COLOURS, STYLES
-from gym_open.viz.puzzles.tables import HARDEST, Table
+from gym_open.viz.puzzles.tables import HARDEST, TaskTable
 from gym_open.viz.render import Look, Painter, draw_sheet, painter, pose
 from gym_open.viz.strip import Curve, Plot, draw_plot
 
@@ -101,7 +101,7 @@ def _opinion_plot(episodes: Sequence[Episode], judges: list[int], name: str) -> 
     )
 
 
-def overview(tables: Sequence[Table]) -> Drawing:
+def overview(tables: Sequence[TaskTable]) -> Drawing:
     """How all puzzles of each task went: one below the other if there are several."""
     sheets = [
         np.asarray(
@@ -128,14 +128,14 @@ def overview(tables: Sequence[Table]) -> Drawing:
     return 13.0, 8.0 * len(tables), draw
 
 
-def _draw_within(axes: "Axes", table: Table) -> None:
+def _draw_within(axes: "Axes", table: TaskTable) -> None:
     from matplotlib.ticker import NullFormatter
 
     actions = np.arange(1, table.budget + 1)
     for number, agent in enumerate(table.agents):
-        label = f"{agent.name}  {agent.record.a_success:.3f} ± {agent.record.a_success_half_width_95:.3f}"
+        label = f"{agent.name}  {agent.run.record.a_success:.3f} ± {agent.run.record.a_success_half_width_95:.3f}"
         axes.plot(
-            actions, agent.record.mean_return_within, STYLES[number % len(STYLES)], label=label,
+            actions, agent.run.record.mean_return_within, STYLES[number % len(STYLES)], label=label,
             color=COLOURS[number % len(COLOURS)],
         )  # fmt: skip
     axes.set_xscale("log")
@@ -147,7 +147,7 @@ def _draw_within(axes: "Axes", table: Table) -> None:
     axes.legend(frameon=False, fontsize=8, loc="upper left", title="A-Success", title_fontsize=8, alignment="left")
 
 
-def _draw_solved(axes: "Axes", table: Table) -> None:
+def _draw_solved(axes: "Axes", table: TaskTable) -> None:
     """A row an agent, a column a puzzle, the hardest left: how much of its return was earned."""
     from matplotlib.colors import ListedColormap
 
@@ -155,8 +155,8 @@ def _draw_solved(axes: "Axes", table: Table) -> None:
     shares = np.full((len(table.agents), len(place)), np.nan)
     danger = np.full_like(shares, np.nan)
     for row, agent in enumerate(table.agents):
-        at = [place[item] for item in agent.puzzles]
-        shares[row, at] = agent.earned[:, -1] / table.best[agent.numbers]
+        at = [place[item] for item in agent.run.puzzles]
+        shares[row, at] = agent.run.returns[:, -1] / table.best[agent.numbers]
         danger[row, at] = np.where(agent.in_danger, 1.0, np.nan)
     axes.imshow(shares, cmap="cividis", vmin=0, vmax=1, aspect="auto", interpolation="nearest")
     axes.imshow(danger, cmap=ListedColormap(["#D55E00"]), aspect="auto", interpolation="nearest")
@@ -167,12 +167,11 @@ def _draw_solved(axes: "Axes", table: Table) -> None:
     axes.set_title(f"who earned what: dark nothing, yellow all of the return{also}", fontsize=9)
 
 
-def _draw_sorted(axes: "Axes", table: Table) -> None:
+def _draw_sorted(axes: "Axes", table: TaskTable) -> None:
     for number, agent in enumerate(table.agents):
         style, hue = STYLES[number % len(STYLES)], COLOURS[number % len(COLOURS)]
-        axes.plot(
-            np.arange(1, len(agent.puzzles) + 1), np.sort(agent.a_success)[::-1], style, color=hue, label=agent.name
-        )
+        values = np.sort(agent.run.values)[::-1]
+        axes.plot(np.arange(1, len(values) + 1), values, style, color=hue, label=agent.name)
     axes.set(xlabel="puzzles, each agent's best left", ylim=(-0.02, 1.05))
     axes.set_title("A-Success of each puzzle", fontsize=9)
     axes.grid(alpha=0.25)

@@ -109,7 +109,7 @@ def test_what_newer_scores_set_aside_is_left_out_and_counted(tmp_path: Path, mak
     assert (tmp_path / "random-1").is_dir()
     found = gather([tmp_path], "test")
     assert [run.folder for run in found.runs] == [new]
-    assert found.left_out == ["Scores that newer ones had set aside (NAME-1 beside NAME) were left out: 1."]
+    assert found.left_out == ["Scores that newer scores had set aside (NAME-1 next to NAME) were left out: 1."]
 
 
 def test_a_longer_training_sets_the_shorter_aside(tmp_path: Path, make_run: Make, train: Make) -> None:

@@ -13,8 +13,8 @@ import pandas as pd
 import pytest
 
 from gym_open import artefacts
-from gym_open.evaluate.paper import PAPER
 from gym_open.evaluate.report import ReportConfig, write_report
+from gym_open.results.paper import PAPER
 
 QUICK = ReportConfig(resamples=200, thresholds=(0.25, 0.9))
 

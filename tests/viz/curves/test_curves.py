@@ -15,10 +15,12 @@ from gym_open.errors import ArtefactError, UsageError
 from gym_open.evaluate.config import ReportConfig
 from gym_open.evaluate.report import write_report
 from gym_open.evaluate.report.figures import Drawn
+from gym_open.results.records import TrainingCurve, read_curve
 from gym_open.viz import curves
 from gym_open.viz.config import Choice, VizConfig
 from gym_open.viz.curves import figure
-from gym_open.viz.curves.sources import Curve, find
+from gym_open.viz.curves.sources import ReportTable, find, summaries, summaries_of_report
+from gym_open.viz.puzzles.tables import read_tables
 
 ReadBack = Callable[[Path], Any]
 SCRATCH, EVIL = "/score/goal-seeking/scratch", r"/score/goal-seeking/\<b\>x\<\/b\>\|\`\\x1b\[2J"
@@ -48,6 +50,12 @@ def drawn(read_back: ReadBack, benchmark: Path, tmp_path_factory: pytest.TempPat
     return Recording(read_back, tmp_path_factory.mktemp("rrd"), benchmark)
 
 
+@pytest.fixture
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A report is written without its figures, which take most of its time."""
+    monkeypatch.setattr("gym_open.evaluate.report.figures.draw", lambda _: [])
+
+
 @pytest.fixture(scope="module")
 def report(benchmark: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The report of the same scores."""
@@ -72,6 +80,25 @@ def test_scores_and_intervals_are_the_reports(drawn: Recording, report: Path) ->
         returns = cells(report)[agent]["returns"]
         for part, key in (("mean", "value"), ("low", "low"), ("high", "high")):
             assert drawn.curve(f"/return/goal-seeking/{agent}/{part}") == (returns["x"], pytest.approx(returns[key]))
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_names_numbers_and_intervals_are_exactly_the_reports(benchmark: Path, tmp_path: Path) -> None:
+    """Also where a run was not scored to its end."""
+    scores = shutil.copytree(benchmark / "evaluate/scores", tmp_path / "scores")
+    shutil.rmtree(scores / "scratch-goal-seeking-seed1-at800")
+    made = write_report(ReportConfig(), [scores], tmp_path / "report").path
+    results = json.loads((made / "table.json").read_bytes())["results"]
+    rows, left_behind = summaries(find([scores]).runs)
+    assert rows == summaries_of_report(ReportTable("report", {"results": results}))
+    assert [row.agent for row in rows] == results["agents"] == ["scratch", "<b>x</b>|`\\x1b[2J", "random"]
+    assert left_behind == results["left_behind"]
+    assert left_behind == ["scratch, goal-seeking, seed 1: scored at 400, not 800 steps; left out."]
+    (table,) = read_tables([scores / f"{name}-goal-seeking-seed0-at{at}" for name, at in (
+        ("scratch", 800), ("hostile", 400),
+    )])  # fmt: skip
+    assert [agent.name for agent in table.agents] == results["agents"][:2]
+    assert [agent.run.values.mean() for agent in table.agents] == [row.score.value for row in rows[:2]]
 
 
 def test_what_no_training_made_is_a_level_over_all_steps(drawn: Recording, report: Path) -> None:
@@ -132,8 +159,8 @@ def test_what_is_damaged_is_told_of_in_a_folder_and_an_error_by_itself(benchmark
     shutil.copytree(broken, broken.with_name(f"{broken.name}-1"))  # set aside by a newer one
     (broken / "curve.json").write_bytes((broken / "curve.json").read_bytes().replace(b"0.", b"1.", 1))
     found = find([root])
-    assert [(one.kind, one.seed) for one in found.learned if one.name == "scratch"] == [("policy", 0)]
-    assert len(found.scored) == 6
+    assert [(one.kind, one.seed) for one in found.models if one.name == "scratch"] == [("policy", 0)]
+    assert len(found.runs) == 6
     (line,) = found.left_out
     assert "scratch-goal-seeking-seed1" in line
     assert "SHA-256" in line
@@ -160,8 +187,6 @@ def test_there_must_be_something_to_draw(tmp_path: Path, benchmark: Path, make_l
                {"columns": ["update", "loss", "loss"], "rows": [[1, 2, 3]]}],
 )  # fmt: skip
 def test_a_curve_that_is_none_is_named(tmp_path: Path, record: Any) -> None:
-    from gym_open.viz.curves.sources import read_curve
-
     assert read_curve(tmp_path) is None
     (tmp_path / "curve.json").write_text(json.dumps(record))
     with pytest.raises(ArtefactError, match=r"curve\.json: not readable"):
@@ -183,7 +208,7 @@ def painted(monkeypatch: pytest.MonkeyPatch, draw: Callable[[], object]) -> Figu
 
 
 def test_the_figure_of_probes_has_their_scores_and_intervals(benchmark: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    probes = find([benchmark / "train/probes"]).probed
+    probes = find([benchmark / "train/probes"]).probes
     agent, contact, *_ = painted(monkeypatch, lambda: figure.draw_probes(probes)).axes
     assert [axes.get_title() for axes in (agent, contact)] == ["agent (r2)", "contact (auc)"]
     bars = {str(bar.get_label()): bar for bar in agent.containers}
@@ -196,10 +221,12 @@ def test_the_figure_of_probes_has_their_scores_and_intervals(benchmark: Path, mo
 
 
 def test_the_figure_of_a_curve_puts_held_out_data_beside_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    curve = Curve(["update", "loss", "accuracy", "held_out_loss"], [[1, 0.5, None, None], [2, 0.25, None, 0.75]])
+    curve = TrainingCurve(
+        ["update", "loss", "accuracy", "held_out_loss"], [[1, 0.5, None, None], [2, 0.25, None, 0.75]]
+    )
     loss, accuracy, *_ = painted(monkeypatch, lambda: figure.draw_curve(curve)).axes
     lines = {str(line.get_label()): np.array(line.get_xydata()) for line in loss.lines}
     assert lines["in training"].tolist() == [[1, 0.5], [2, 0.25]]
     assert lines["held out"].tolist() == [[2, 0.75]]
     assert [text.get_text() for text in accuracy.texts] == ["no data"]
-    assert painted(monkeypatch, lambda: figure.draw_curve(Curve(["update"], []))).axes  # nothing but an axis
+    assert painted(monkeypatch, lambda: figure.draw_curve(TrainingCurve(["update"], []))).axes  # nothing but an axis

@@ -103,7 +103,7 @@ def test_scores_that_do_not_come_out_again_are_refused(
     pq.write_table(pa.Table.from_pylist(rows, schema=table.schema), forged / EPISODES)
     seal(forged)
     with pytest.raises(
-        ArtefactError, match=rf"puzzle avoidance/000: step {step}: reward 0\.5 was recorded, {paid} is paid"
+        ArtefactError, match=rf"puzzle avoidance/000: step {step}: reward 0\.5 was recorded, the replay gave {paid}"
     ):
         play_all(SOLVED, [forged])
 

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 from gym_open import artefacts
-from gym_open.evaluate.metrics import a_success, mean_return_within
+from gym_open.results.metrics import a_success, mean_return_within
 from gym_open.viz import viewers
 from gym_open.viz.config import Choice, VizConfig
 from gym_open.viz.puzzles import view
-from gym_open.viz.puzzles.tables import Table, commands, read_tables
+from gym_open.viz.puzzles.tables import TaskTable, commands, read_tables
 
 DARK, YELLOW, ORANGE = (0, 34, 78), (254, 232, 56), (213, 94, 0)
 
 
 @pytest.fixture(scope="module")
-def table(scores: Any, others: Any) -> Table:
+def table(scores: Any, others: Any) -> TaskTable:
     (found,) = read_tables([scores.path, others.path])
     return found
 
@@ -35,9 +35,9 @@ def padded(rewards: list[list[float]]) -> np.ndarray:
     return np.array([row + [0.0] * (100 - len(row)) for row in rewards])
 
 
-def test_tables_hold_what_was_earned_and_how_it_ended(table: Table, scores: Any, others: Any) -> None:
+def test_tables_hold_what_was_earned_and_how_it_ended(table: TaskTable, scores: Any, others: Any) -> None:
     first, second = table.agents
-    np.testing.assert_array_equal(first.earned, padded(scores.rewards).cumsum(axis=1))
+    np.testing.assert_array_equal(first.run.returns, padded(scores.rewards).cumsum(axis=1))
     assert first.solved.tolist() == [True, False, False]
     assert first.in_danger.tolist() == [False, False, True]
     assert second.solved.tolist() == [False, True]
@@ -56,8 +56,8 @@ def test_a_part_of_the_return_is_no_solution(half_way: Any) -> None:
     (found,) = read_tables([half_way.path])
     (agent,) = found.agents
     assert agent.solved.tolist() == [True, False]
-    assert agent.earned[0, -1] == pytest.approx(1.0)
-    assert agent.earned[1, -1] in (0.2, 0.8)  # what the yellow and the green goal pay
+    assert agent.run.returns[0, -1] == pytest.approx(1.0)
+    assert agent.run.returns[1, -1] in (0.2, 0.8)  # what the yellow and the green goal pay
     assert agent.outcomes()[1].startswith("not solved in ")
 
 
@@ -81,10 +81,10 @@ def test_dots_show_what_was_earned_within_i_actions(recording: Any, scores: Any)
     assert labels[0] == f"avoidance/000: solved in {solved_at}, return 1"
 
 
-def test_commands_open_the_hardest_puzzles_with_the_best_agents(table: Table, recording: Any) -> None:
+def test_commands_open_the_hardest_puzzles_with_the_best_agents(table: TaskTable, recording: Any) -> None:
     lines = commands(table)
     assert [line.rsplit(" ", 1)[1] for line in lines] == table.hardest
-    best = sorted(table.agents, key=lambda agent: -agent.record.a_success)
+    best = sorted(table.agents, key=lambda agent: -agent.run.record.a_success)
     assert lines[0].startswith(f"gym-open viz {best[0].path} {best[1].path} --puzzle ")
     text = recording.static("/avoidance/about", "TextDocument:text")[0]
     assert lines[0] in text

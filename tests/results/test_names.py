@@ -7,7 +7,7 @@ import pytest
 
 from gym_open import artefacts
 from gym_open.config import Config
-from gym_open.viz.puzzles.names import agent_names
+from gym_open.results.names import distinct_names
 
 
 class Made(Config, frozen=True):
@@ -28,4 +28,4 @@ def test_steps_tell_policies_apart_if_they_are_a_number(tmp_path: Path, steps: A
         return artefacts.build(tmp_path / folder, kind="policy", config=Made(name=folder), parents=[], work=work).path
 
     one, other = made("one", steps), made("other", 10)
-    assert agent_names({one: None, other: None}) == {one: name, other: "a, 10 steps"}
+    assert distinct_names({one: None, other: None}) == {one: name, other: "a, 10 steps"}

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from gym_open.formats.statistics import (
+from gym_open.results.statistics import (
     difference_bootstrap,
     first_reached,
     interquartile_mean,

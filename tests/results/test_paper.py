@@ -7,7 +7,7 @@ import pytest
 from gym_open.collect.config import CollectConfig
 from gym_open.config import load
 from gym_open.envs.puzzles import TASKS
-from gym_open.evaluate.paper import PAPER, paper_name
+from gym_open.results.paper import PAPER, paper_name
 
 ROOT = Path(__file__).parents[2]
 
