@@ -202,7 +202,7 @@ def painted(monkeypatch: pytest.MonkeyPatch, draw: Callable[[], object]) -> Figu
         paint(made[0])
         return b""
 
-    monkeypatch.setattr(figure, "png", keep)
+    monkeypatch.setattr(figure, "draw_png", keep)
     draw()
     return made[0]
 
