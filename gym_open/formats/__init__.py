@@ -1,1 +1,1 @@
-"""What the stages exchange on disk: logs (MCAP), releases (LeRobot), models and checkpoints (safetensors)."""
+"""Files that stages exchange: logs (MCAP), releases (LeRobot), models and checkpoints (safetensors)."""

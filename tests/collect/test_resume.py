@@ -20,7 +20,7 @@ from gym_open.collect.config import CollectConfig, RuleName
 from gym_open.collect.explore import collect
 from gym_open.collect.pool import Pool
 from gym_open.formats.logs import LogError, log_files
-from gym_open.formats.logs.container import Logged, whole_chunks
+from gym_open.formats.logs.container import LogMessage, whole_chunks
 from tests.children import python, started
 
 pytestmark = pytest.mark.usefixtures("scripted")
@@ -65,7 +65,7 @@ def kill_after(config: CollectConfig, out: Path, chunks: int) -> None:
     assert done.returncode == -signal.SIGKILL, done.stderr
 
 
-def whole(folder: Path) -> list[list[list[Logged]]]:
+def whole(folder: Path) -> list[list[list[LogMessage]]]:
     """Whole chunks of each stream."""
     return [[chunk for path in parts for chunk in whole_chunks(path)] for parts in log_files(folder)]
 
@@ -152,7 +152,7 @@ def test_a_resumed_run_that_diverges_is_refused_and_keeps_the_old_log(
     old = (stopped.parent / ".log.partial" / "stream-000-000.mcap").read_bytes()
     real = Explorer.act
     monkeypatch.setattr(Explorer, "act", lambda self, images: real(self, torch.zeros_like(images)))
-    with pytest.raises(LogError, match="not the one that had been logged"):
+    with pytest.raises(LogError, match="differs from the one logged"):
         collect(tiny, stopped)
     assert (stopped.parent / ".log.partial" / artefacts.SCRATCH / "stream-000-000.mcap").read_bytes() == old
     monkeypatch.undo()

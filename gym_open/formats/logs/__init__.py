@@ -1,8 +1,8 @@
-"""Logs of exploration, in MCAP: the front door to writing and reading them.
+"""Logs of exploration in MCAP: the names that other rooms use to write and read them.
 
-The layout is in docs/data-format.md. `LogWriter` writes, `resume_writer` goes on where a killed one left off,
-`open_log` checks and reads, `open_whole_part` takes what is whole of a damaged log; most other modules are how they do
-it: the container, the messages, the encoding. `replay`, `info` and `repair` are what the `gym-open log` commands do.
+docs/data-format.md describes the layout. `LogWriter` writes a log. `resume_writer` continues the log of a killed
+writer. `open_log` checks and reads a log. `open_whole_part` reads the undamaged beginning of a damaged log. `info` and
+`repair` implement the `gym-open log` commands. The other modules are the container, the messages and their encoding.
 """
 
 from gym_open.extras import Named

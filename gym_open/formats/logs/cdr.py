@@ -1,7 +1,7 @@
 """CDR, the byte encoding of ROS 2 messages, as far as logs need it: little-endian, values aligned to their size.
 
-`mcap-ros2-support` can do the same from the message text, one Python call a number; a step carries some 430 numbers,
-so arrays go through NumPy here (ten times faster). The tests hold these bytes to that library's.
+`mcap-ros2-support` does the same from the message definition, with one Python call per number. A step has about 430
+numbers, so arrays go through NumPy here, which is ten times faster. The tests compare these bytes with that library's.
 """
 
 import struct
@@ -10,12 +10,12 @@ from collections.abc import Sequence
 import numpy as np
 
 ENCAPSULATION = b"\x00\x01\x00\x00"
-"""First bytes of a message: plain CDR, little-endian. Alignment is counted from behind them."""
+"""First bytes of a message: plain CDR, little-endian. Alignment counts from the byte after them."""
 _SIZES = {"?": 1, "B": 1, "i": 4, "I": 4, "Q": 8, "d": 8}
 
 
 class CdrWriter:
-    """Appends values one after another; `data` is the message so far."""
+    """Appends values to a message; `data` is the message so far."""
 
     __slots__ = ("_buffer",)
 
@@ -28,23 +28,23 @@ class CdrWriter:
         return bytes(self._buffer)
 
     def align(self, size: int) -> None:
-        """Pad to a multiple of `size` bytes, as a number of that size would be."""
+        """Pad to a multiple of `size` bytes, the alignment of a number of that size."""
         self._buffer.extend(bytes(-(len(self._buffer) - len(ENCAPSULATION)) % size))
 
     def scalar(self, code: str, value: float) -> None:
-        """Append one number; `code` is its letter in the module `struct`."""
+        """Append a number; `code` is its letter in the module `struct`."""
         self.align(_SIZES[code])
         self._buffer.extend(struct.pack(f"<{code}", value))
 
     def string(self, value: str) -> None:
-        """Append a text: its length with the closing zero, then its bytes."""
+        """Append a string: its length including the final zero byte, then its bytes."""
         raw = value.encode()
         self.scalar("I", len(raw) + 1)
         self._buffer.extend(raw)
         self._buffer.append(0)
 
     def strings(self, values: Sequence[str]) -> None:
-        """Append a sequence of texts."""
+        """Append a sequence of strings."""
         self.scalar("I", len(values))
         for value in values:
             self.string(value)
@@ -62,16 +62,16 @@ class CdrWriter:
             self._buffer.extend(np.ascontiguousarray(values, dtype="<f8").tobytes())
 
     def vector(self, values: Sequence[float]) -> None:
-        """Append a `float64[n]` of fixed length: the numbers alone."""
+        """Append a `float64[n]` of fixed length: the numbers without a count."""
         self.align(8)
         self._buffer.extend(struct.pack(f"<{len(values)}d", *values))
 
 
 class CdrReader:
-    """Takes values off a message in the order in which they were appended.
+    """Reads values from a message in the order in which they were appended.
 
     Raises:
-        ValueError: from any method, if the message is too short for what is asked.
+        ValueError: from any method, if the message is too short.
     """
 
     __slots__ = ("_data", "_offset")
@@ -90,35 +90,35 @@ class CdrReader:
         return start
 
     def scalar(self, code: str) -> int | float:
-        """The next number; `code` is its letter in the module `struct`."""
+        """Read a number; `code` is its letter in the module `struct`."""
         size = _SIZES[code]
         return struct.unpack_from(f"<{code}", self._data, self._take(size, size))[0]
 
     def integer(self, code: str) -> int:
-        """The next number as an int."""
+        """Read a number as an int."""
         return int(self.scalar(code))
 
     def string(self) -> str:
-        """The next text."""
+        """Read a string."""
         return self.blob()[:-1].decode()
 
     def strings(self) -> list[str]:
-        """The next sequence of texts."""
+        """Read a sequence of strings."""
         return [self.string() for _ in range(self.integer("I"))]
 
     def blob(self) -> bytes:
-        """The next `uint8[]`."""
+        """Read a `uint8[]`."""
         count = self.integer("I")
         start = self._take(count)
         return self._data[start : start + count]
 
     def floats(self) -> np.ndarray:
-        """The next `float64[]`, flat."""
+        """Read a `float64[]`, flat."""
         count = self.integer("I")
         if not count:
             return np.empty(0)
         return np.frombuffer(self._data, "<f8", count, self._take(8 * count, 8)).astype(np.float64)
 
     def vector(self, count: int) -> tuple[float, ...]:
-        """The next `float64[count]` of fixed length."""
+        """Read a `float64[count]` of fixed length."""
         return struct.unpack_from(f"<{count}d", self._data, self._take(8 * count, 8))

@@ -1,7 +1,7 @@
-"""The MCAP container: every byte of a file is checked before anything in it is believed.
+"""Reader of the MCAP container: it checks every byte of a file before other modules use its contents.
 
-The `mcap` package reads past damage unless told otherwise and never looks at the summary's CRC; here the walk over the
-records is our own, so that an error can say at which byte the damage is and how much before it is whole.
+The `mcap` package reads past damage by default and never checks the summary's CRC. This module walks over the records
+itself, so that an error can name the byte of the damage and say how much before it is undamaged.
 """
 
 import struct
@@ -20,20 +20,20 @@ from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
 MAX_CHUNK = 64 * 2**20
-"""Bytes that one chunk may unpack to, and that any record may have; ours are of 4 MiB."""
+"""Greatest size in bytes of an unpacked chunk and of any record; our chunks have 4 MiB."""
 MAX_EXPANSION = 2000
-"""How many times its size a file may unpack to. The index alone takes 16 bytes a message, so ours stay under 1000."""
+"""Greatest ratio of unpacked to packed size. The index takes 16 bytes per message, so our files stay below 1000."""
 
 T = TypeVar("T")
 
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
-"""Channel, sequence, time of logging, time of publishing; then the message's bytes."""
+"""Channel, sequence number, log time, publish time; the message's bytes follow."""
 _UNPACKED = struct.Struct("<QQQ")
-"""How a chunk begins: first time, last time, size when unpacked."""
+"""First fields of a chunk: first time, last time, unpacked size."""
 
 
-class Damage(Exception):  # noqa: N818 - it becomes a LogError, which names the file
+class Damage(Exception):  # noqa: N818 - callers turn it into a LogError that names the file
     """Something is wrong at byte `offset` of a file."""
 
     def __init__(self, offset: int, what: str) -> None:
@@ -41,7 +41,7 @@ class Damage(Exception):  # noqa: N818 - it becomes a LogError, which names the 
         self.offset, self.what = offset, what
 
 
-class Logged(NamedTuple):
+class LogMessage(NamedTuple):
     """One message of a chunk."""
 
     topic: str
@@ -49,8 +49,8 @@ class Logged(NamedTuple):
     data: bytes
 
 
-class Place(NamedTuple):
-    """Where a chunk lies, the time of its first message, and how many of each channel number it holds."""
+class ChunkPlace(NamedTuple):
+    """A chunk's offset, the time of its first message, and its number of messages per channel number."""
 
     offset: int
     time: int
@@ -58,19 +58,19 @@ class Place(NamedTuple):
 
 
 class Contents(NamedTuple):
-    """What a file holds beside its messages."""
+    """What a file holds in addition to its messages."""
 
-    chunks: list[Place]
+    chunks: list[ChunkPlace]
     attachments: dict[str, bytes]
     metadata: dict[str, dict[str, str]]
     schemas: dict[int, tuple[str, str]]
-    """Message type and its definition, by number. Like `channels` from the summary, which stands at the file's end."""
+    """Message type and definition by schema number; from the summary at the file's end, like `channels`."""
     channels: dict[int, tuple[str, int]]
-    """Topic and number of its schema, by number."""
+    """Topic and schema number by channel number."""
 
     @property
     def topics(self) -> dict[int, str]:
-        """Topic of each channel number."""
+        """Topic by channel number."""
         return {number: topic for number, (topic, _) in self.channels.items()}
 
 
@@ -81,9 +81,9 @@ class _Record(NamedTuple):
 
 
 def _records(file: BinaryIO, size: int) -> Iterator[_Record]:
-    """Records in order, the footer last. Raises `Damage` where the file stops making sense or would unpack too far."""
+    """Records in order, up to the footer. Raises `Damage` where a record is invalid or the unpacked size too large."""
     if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-        raise Damage(0, "not an MCAP file (its first bytes are another format's)")
+        raise Damage(0, "not an MCAP file (its first bytes are those of another format)")
     offset, opcode, unpacked = len(MCAP0_MAGIC), 0, 0
     while opcode != Opcode.FOOTER:
         head = file.read(_HEAD.size)
@@ -98,11 +98,11 @@ def _records(file: BinaryIO, size: int) -> Iterator[_Record]:
         record = _Record(offset, opcode, file.read(length))
         unpacked += _unpacked_size(record) if opcode == Opcode.CHUNK else 0
         if unpacked > MAX_EXPANSION * size:
-            raise Damage(0, f"it would unpack to more than {MAX_EXPANSION} times its size; refused")
+            raise Damage(0, f"the file would unpack to more than {MAX_EXPANSION} times its size; refused")
         yield record
         offset += _HEAD.size + length
     if file.read() != MCAP0_MAGIC:
-        raise Damage(offset, "the file does not end where its footer does")
+        raise Damage(offset, "the file goes on after its footer")
 
 
 def _unpacked_size(record: _Record) -> int:
@@ -117,7 +117,7 @@ def scan(path: Path) -> tuple[Contents, Damage | None]:
     """Check the whole file at `path`: data CRC, summary CRC, sizes.
 
     Returns:
-        What it holds beside its messages, as far as it could be read, and the first byte that cannot be right, if any.
+        What the file holds in addition to its messages, as far as it could be read, and the first damage, if any.
     """
     contents, check = Contents([], {}, {}, {}, {}), _Checksums()
     try:
@@ -133,7 +133,7 @@ def scan(path: Path) -> tuple[Contents, Damage | None]:
 
 
 def _first_damage(path: Path, found: Damage) -> Damage:
-    """The first chunk that does not unpack as it says: the CRC of the data section tells no place."""
+    """Find the first damaged chunk; the CRC of the data section does not say where the damage is."""
     try:
         for _ in chunks(path, found.offset):
             pass
@@ -143,10 +143,10 @@ def _first_damage(path: Path, found: Damage) -> Damage:
 
 
 def read_contents(path: Path) -> Contents:
-    """Check the whole file at `path` and return what it holds beside its messages.
+    """Check the whole file at `path` and return what it holds in addition to its messages.
 
     Raises:
-        Damage: at the first byte that cannot be right.
+        Damage: with the first byte that must be wrong.
     """
     contents, damage = scan(path)
     if damage is not None:
@@ -155,10 +155,10 @@ def read_contents(path: Path) -> Contents:
 
 
 def read_head(path: Path) -> Contents:
-    """What stands before the first chunk: attachments and metadata, each made sure of as far as that goes alone.
+    """Read the attachments and metadata before the first chunk; checks only these.
 
     Raises:
-        Damage: if the file ends or stops making sense before that.
+        Damage: if the file ends or a record is invalid before that.
     """
     contents = Contents([], {}, {}, {}, {})
     with path.open("rb") as file:
@@ -173,9 +173,9 @@ def read_head(path: Path) -> Contents:
 def _note(record: _Record, contents: Contents) -> None:
     stream = ReadDataStream(BytesIO(record.data))
     if record.opcode == Opcode.CHUNK:
-        contents.chunks.append(Place(record.offset, _UNPACKED.unpack_from(record.data)[0], {}))
+        contents.chunks.append(ChunkPlace(record.offset, _UNPACKED.unpack_from(record.data)[0], {}))
     elif record.opcode == Opcode.MESSAGE:
-        raise ValueError("a message outside of the chunks, where no CRC of a chunk covers it")
+        raise ValueError("a message outside the chunks, where no chunk's CRC covers it")
     elif record.opcode == Opcode.MESSAGE_INDEX:
         channel, length = struct.unpack_from("<HI", record.data)
         contents.chunks[-1].counts[channel] = length // 16
@@ -205,7 +205,7 @@ def _add(known: dict[str, T], name: str, value: T) -> None:
 
 @contextmanager
 def _damage_at(offset: int) -> Iterator[None]:
-    """Whatever the parsers of a record raise over nonsense is damage of that record."""
+    """Turn every error of a record's parser into a `Damage` at that record."""
     try:
         yield
     except (McapError, struct.error, ValueError, LookupError, OverflowError, zstandard.ZstdError) as error:
@@ -214,7 +214,7 @@ def _damage_at(offset: int) -> Iterator[None]:
 
 
 class _Checksums:
-    """CRC-32 of the data section up to DataEnd, then of the summary up to the footer's own CRC."""
+    """CRC-32 of the data section up to DataEnd, then of the summary up to the CRC in the footer."""
 
     def __init__(self) -> None:
         self._crc = zlib.crc32(MCAP0_MAGIC)
@@ -239,14 +239,14 @@ class _Checksums:
 
     def finish(self) -> None:
         if not (self._data_checked and self._summary_checked):
-            raise Damage(0, "it has no checksums, so it cannot be trusted")
+            raise Damage(0, "the file has no checksums, so it cannot be trusted")
 
 
-def read_chunk(path: Path, place: Place, topics: dict[int, str]) -> Iterator[Logged]:
-    """Messages of one chunk in the order of writing; `topics` by channel number is added to as channels appear.
+def read_chunk(path: Path, place: ChunkPlace, topics: dict[int, str]) -> Iterator[LogMessage]:
+    """Messages of one chunk in the order of writing; channels found in the chunk are added to `topics`.
 
     Raises:
-        Damage: if the chunk does not unpack to what it says.
+        Damage: if the chunk's size or CRC is wrong.
     """
     with path.open("rb") as file:
         file.seek(place.offset)
@@ -255,12 +255,12 @@ def read_chunk(path: Path, place: Place, topics: dict[int, str]) -> Iterator[Log
             yield message
 
 
-def chunks(path: Path, end: int | None = None) -> Iterator[list[Logged]]:
-    """Messages of each chunk from the beginning of a file that may be damaged, up to the chunk at byte `end`.
+def chunks(path: Path, end: int | None = None) -> Iterator[list[LogMessage]]:
+    """Messages of each chunk from the beginning of a file, which may be damaged, up to the chunk at byte `end`.
 
     Raises:
-        Damage: where the file is cut off, a chunk does not unpack to what it says, or messages are missing before it: a
-            chunk is gone whose record says that it is something else.
+        Damage: where the file is cut off, a chunk's size or CRC is wrong, or messages are missing before a chunk. They
+            are missing if damage turned the opcode of the chunk before it into another.
     """
     topics: dict[int, str] = {}
     following: int | None = None
@@ -277,7 +277,7 @@ def chunks(path: Path, end: int | None = None) -> Iterator[list[Logged]]:
 
 
 def first_number(path: Path) -> int:
-    """Number of a file's first message; 0 if no chunk is whole."""
+    """Number of a file's first message; 0 if every chunk is damaged."""
     with suppress(Damage), path.open("rb") as file:
         for record in _records(file, path.stat().st_size):
             if record.opcode == Opcode.CHUNK:
@@ -285,14 +285,14 @@ def first_number(path: Path) -> int:
     return 0
 
 
-def whole_chunks(path: Path, end: int | None = None) -> Iterator[list[Logged]]:
-    """As `chunks`, up to the damage: what can be saved of a log whose writer was killed."""
+def whole_chunks(path: Path, end: int | None = None) -> Iterator[list[LogMessage]]:
+    """Like `chunks`, but stops at the damage without an error: what a killed writer left."""
     with suppress(Damage):
         yield from chunks(path, end)
 
 
-def _messages(record: _Record, topics: dict[int, str]) -> Iterator[tuple[int, Logged]]:
-    """The messages of a chunk and their numbers, which go on from chunk to chunk."""
+def _messages(record: _Record, topics: dict[int, str]) -> Iterator[tuple[int, LogMessage]]:
+    """Messages of a chunk with their numbers, which continue from chunk to chunk."""
     with _damage_at(record.offset):
         raw = _unpack(record)
         offset = 0
@@ -306,15 +306,15 @@ def _messages(record: _Record, topics: dict[int, str]) -> Iterator[tuple[int, Lo
                 topics[named.id] = named.topic
             elif opcode == Opcode.MESSAGE:
                 channel, number, time, _ = _MESSAGE.unpack_from(raw, start)
-                yield number, Logged(topics[channel], time, raw[start + _MESSAGE.size : offset])
+                yield number, LogMessage(topics[channel], time, raw[start + _MESSAGE.size : offset])
 
 
 def _unpack(record: _Record) -> bytes:
-    """The bytes of a chunk, its size and CRC checked; the size is looked at before anything is unpacked."""
+    """Unpack a chunk and check its size and CRC. The size is checked before unpacking, too."""
     _unpacked_size(record)
     chunk = Chunk.read(ReadDataStream(BytesIO(record.data)))
     if chunk.compression != "zstd" or zstandard.frame_content_size(chunk.data) != chunk.uncompressed_size:
-        raise Damage(record.offset, "a chunk is not packed as it says")
+        raise Damage(record.offset, "a chunk is not packed as its header says")
     raw = zstandard.decompress(chunk.data)
     if zlib.crc32(raw) != chunk.uncompressed_crc:
         raise Damage(record.offset, "the CRC of a chunk is wrong: bytes were changed")

@@ -1,4 +1,4 @@
-"""What log files hold and how they are, whole or damaged: for a person to read."""
+"""Tables of what log files hold and whether they are damaged, for people."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ _NO_IMAGE = np.empty(0)
 
 
 class FileInfo(msgspec.Struct):
-    """What one file holds; of a damaged one, before the damage."""
+    """What one file holds; in a damaged file, before the damage."""
 
     path: Path
     bytes: int
@@ -30,25 +30,25 @@ class FileInfo(msgspec.Struct):
     goes_on: bool = False
     damage: Damage | None = None
     messages: Counter[str] = msgspec.field(default_factory=Counter)
-    """Number by topic."""
+    """Number of messages by topic."""
     first_world: int | None = None
-    """World that the file begins in."""
+    """The world in which the file begins."""
     switches: list[Switch] = []
     stuck: list[Stuck] = []
 
     @property
     def steps(self) -> int:
-        """Actions taken."""
+        """Number of actions."""
         return self.messages[schemas.STEP]
 
     @property
     def seconds(self) -> float:
-        """Simulated time."""
+        """Simulated time (s)."""
         return self.steps * schemas.STEP_NS / 1e9
 
     @property
     def health(self) -> str:
-        """Whole, or at which byte it is not."""
+        """Whether the file is whole, and at which byte it is damaged."""
         if self.damage is not None:
             return f"at byte {self.damage.offset:,}: {self.damage.what}"
         if not (self.goes_on or (self.switches and self.switches[-1].to_world < 0)):
@@ -57,10 +57,10 @@ class FileInfo(msgspec.Struct):
 
 
 def inspect(path: Path) -> FileInfo:
-    """Read what the log file at `path` says about itself, and count what it holds up to the first damage.
+    """Read the head of the log file at `path` and count its messages, up to the first damage.
 
     Raises:
-        LogError: if it is missing or none of ours, or damaged before its first step.
+        LogError: if the file is missing, not a log, or damaged in its head.
     """
     file, damage = open_whole_chunks(path)
     info = FileInfo(path, path.stat().st_size, file.head, file.part, file.goes_on, damage)
@@ -79,10 +79,10 @@ def inspect(path: Path) -> FileInfo:
 
 
 def info_tables(source: Path) -> list[Table]:
-    """Files, streams and channels of a log file or of a folder with logs.
+    """Tables of the files, streams and channels of a log file or of a folder with logs.
 
     Raises:
-        ArtefactError: if there is no log, or a file is none of ours.
+        ArtefactError: if there is no log, or a file is not a log.
     """
     paths = [source]
     if not source.is_file():
@@ -132,7 +132,7 @@ def _streams(files: Sequence[FileInfo], *, alone: bool) -> Table:
 
 
 def _health(files: Sequence[FileInfo], *, alone: bool) -> str:
-    """Of all files of a stream; of one that was asked for `alone`, other parts are not missed."""
+    """Health of all files of a stream; a file that was given `alone` does not need the other parts."""
     if damaged := [str(file.part) for file in files if file.damage is not None]:
         return f"part {', '.join(damaged)} damaged"
     if alone:

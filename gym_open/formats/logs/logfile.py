@@ -1,4 +1,4 @@
-"""One file of a log: its bytes checked, what it says about itself, and its messages."""
+"""One file of a log: the check of its bytes, its head, and its messages."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -13,10 +13,10 @@ from gym_open.errors import GymOpenError
 from gym_open.formats.logs import schemas
 from gym_open.formats.logs.cdr import CdrReader
 from gym_open.formats.logs.container import (
+    ChunkPlace,
     Contents,
     Damage,
-    Logged,
-    Place,
+    LogMessage,
     read_chunk,
     read_head,
     scan,
@@ -24,22 +24,22 @@ from gym_open.formats.logs.container import (
 )
 from gym_open.formats.logs.schemas import LogError, LogHead
 
-RESTORE = "restore the file from a copy, or run the `gym-open collect` command that wrote it again (it goes on)"
-REPAIR = f"{RESTORE}, or save what is whole with `gym-open log repair`"
-"""The remedy where there is something that can be saved."""
+RESTORE = "restore the file from a copy, or run the `gym-open collect` command that wrote it again (it continues)"
+REPAIR = f"{RESTORE}, or save the undamaged beginning with `gym-open log repair`"
+"""The remedy where at least one step can be saved."""
 MAX_NESTING = 64
-"""Levels of lists and tables that a configuration may have: ours have three, and Python gives up at some thousand."""
+"""Greatest nesting of lists and tables in a configuration. Ours have three levels; Python fails at about a thousand."""
 
 
 class LogFile(NamedTuple):
-    """One file of a log, every byte of it checked."""
+    """One file of a log whose bytes were checked."""
 
     path: Path
     contents: Contents
     head: LogHead
     part: int
     goes_on: bool
-    """Whether the stream goes on in a further part."""
+    """Whether the stream continues in another part."""
 
     def count(self, topic: str) -> int:
         """Number of messages of a topic."""
@@ -48,8 +48,8 @@ class LogFile(NamedTuple):
     def _channel(self, topic: str) -> int:
         return next((number for number, name in self.contents.topics.items() if name == topic), -1)
 
-    def messages(self, *topics: str) -> Iterator[Logged]:
-        """Messages in the order of writing, or only those of some topics: that spares unpacking other chunks.
+    def messages(self, *topics: str) -> Iterator[LogMessage]:
+        """Messages in the order of writing. With `topics`, only those; chunks without them are not unpacked.
 
         Raises:
             LogError: if a chunk is damaged.
@@ -59,10 +59,10 @@ class LogFile(NamedTuple):
             if not wanted or wanted & set(place.counts):
                 yield from (message for message in self.chunk(place) if not topics or message.topic in topics)
 
-    def messages_from(self, step: int) -> Iterator[Logged] | None:
-        """Messages from the last keyframe on that stands at or before a step of the stream; None if there is none.
+    def messages_from(self, step: int) -> Iterator[LogMessage] | None:
+        """Messages from the last keyframe at or before a step of the stream; None if there is no such keyframe.
 
-        Of the chunks before it, at most a few are unpacked.
+        It unpacks at most a few of the chunks before that keyframe.
 
         Raises:
             LogError: if a chunk is damaged.
@@ -78,11 +78,11 @@ class LogFile(NamedTuple):
                 return chain(chunk[frames[-1] :], later)
         return None
 
-    def chunk(self, place: Place) -> list[Logged]:
+    def chunk(self, place: ChunkPlace) -> list[LogMessage]:
         """Messages of one chunk.
 
         Raises:
-            LogError: if it is damaged.
+            LogError: if the chunk is damaged.
         """
         try:
             return list(read_chunk(self.path, place, self.contents.topics))
@@ -91,7 +91,7 @@ class LogFile(NamedTuple):
 
 
 def open_file(path: Path) -> LogFile:
-    """Check the one file at `path`, every byte of it.
+    """Check every byte of the file at `path`.
 
     Raises:
         LogError: if it is missing, cut off, damaged, or not a log of this format.
@@ -103,7 +103,7 @@ def open_file(path: Path) -> LogFile:
 
 
 def open_whole_chunks(path: Path) -> tuple[LogFile, Damage | None]:
-    """Check the one file at `path`, every byte of it; of a damaged one, what stands before the damage.
+    """Check every byte of the file at `path`; a damaged file keeps only the chunks before the damage.
 
     Raises:
         LogError: if it is missing, not a log of this format, or damaged before its first message.
@@ -119,7 +119,7 @@ def open_whole_chunks(path: Path) -> tuple[LogFile, Damage | None]:
             _check_attachments(contents)
             _check_channels(contents)
         elif not contents.chunks or contents.chunks[-1].offset >= damage.offset:
-            following = None  # it stands after the damage
+            following = None  # the record stands after the damage
         if following not in (None, {"part": str(part + 1)}):
             raise ValueError(f"part {part} goes on in {following}, expected part {part + 1}")
         if damage is not None:
@@ -132,9 +132,9 @@ def open_whole_chunks(path: Path) -> tuple[LogFile, Damage | None]:
 
 
 def _before_damage(path: Path, found: Contents, damage: Damage, head: Contents) -> Contents:
-    """The head, and the chunks before the damage. The channels are named in the first one, and behind the damage.
+    """The head and the chunks before the damage. The channels are read from the first chunk.
 
-    What a chunk holds is counted: its index may be gone, or be what is damaged.
+    Messages are counted in the chunks themselves, because the index may be lost or damaged.
     """
     places = [place for place in found.chunks if place.offset < damage.offset]
     topics: dict[int, str] = {}
@@ -148,10 +148,10 @@ def _before_damage(path: Path, found: Contents, damage: Damage, head: Contents) 
 
 
 def parse_head(contents: Contents) -> tuple[LogHead, int]:
-    """What a file says about itself, and the number of its part.
+    """Decode a file's head and the number of its part.
 
     Raises:
-        ValueError, KeyError, GymOpenError: if it is of another format, or something in it is not as it should be.
+        ValueError, KeyError, GymOpenError: if the format is another one, or a field is missing or invalid.
     """
     try:
         return _parse_head(contents)
@@ -181,10 +181,10 @@ def _parse_head(contents: Contents) -> tuple[LogHead, int]:
 
 
 def check_nesting(value: Any) -> None:
-    """Look at how deep plain data goes.
+    """Check how deep plain data is nested.
 
     Raises:
-        RecursionError: as the decoder does, before something else would.
+        RecursionError: if the nesting is deeper than `MAX_NESTING`.
     """
     level = [value]
     for _ in range(MAX_NESTING):
@@ -198,7 +198,7 @@ def _items(value: dict[str, Any] | list[Any]) -> Iterable[Any]:
 
 
 def _number(head: dict[str, str], name: str, *, least: int = 0) -> int:
-    """Raises ValueError if it is not there as our writers put it, KeyError if not at all."""
+    """Raises ValueError if the number is not in our writer's form, KeyError if it is missing."""
     text = head[name]
     number = int(text) if text.isdecimal() else -1
     if not (least <= number < 2**31 and str(number) == text):
@@ -214,7 +214,7 @@ def _check_attachments(contents: Contents) -> None:
 
 
 def _check_channels(contents: Contents) -> None:
-    """Raises ValueError if the file does not name our topics, each with the type of its messages, and no other."""
+    """Raises ValueError if the file's topics and message types are not exactly ours."""
     found = {topic: contents.schemas.get(schema) for topic, schema in contents.channels.values()}
     for topic in found | schemas.DEFINITIONS:
         if topic not in found or found[topic] != schemas.DEFINITIONS.get(topic):
@@ -222,13 +222,13 @@ def _check_channels(contents: Contents) -> None:
 
 
 def foreign(path: Path, error: Exception) -> LogError:
-    """The error that says that a file is none of ours."""
+    """Return the error for a file that is not a log of this format."""
     remedy = "give a file that `gym-open collect` of this version wrote"
     return LogError(f"{path}: not a log of gym-open, or of another version: {error}; {remedy}")
 
 
 def damaged(path: Path, damage: Damage) -> LogError:
-    """The error that says where a file is damaged and how much before it is whole."""
+    """Return the error that says where a file is damaged and how much before the damage is whole."""
     last = _last_whole_step(path, damage.offset)
     whole = f"no step before it is whole; {RESTORE}" if last is None else f"the last whole step is {last}; {REPAIR}"
     return LogError(f"{path}: damaged at byte {damage.offset}: {damage.what}; {whole}")

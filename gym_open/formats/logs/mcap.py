@@ -1,7 +1,7 @@
-"""Writing the MCAP container: messages in zstd chunks, with every index and checksum that the format has.
+"""Writer of the MCAP container: messages in zstd chunks, with every index and checksum of the format.
 
-The `mcap` package writes the same bytes (the tests hold this to it), in some twenty calls a message; here a message is
-packed in one go, which takes a fifth of the time. Its types do for the records of which a file has few.
+The `mcap` package writes the same bytes, with about twenty calls per message; the tests compare both. This module packs
+a message in one call, which takes a fifth of the time. It uses the package's types for records that are rare in a file.
 """
 
 import struct
@@ -34,13 +34,13 @@ from mcap.writer import LIBRARY_IDENTIFIER, MCAP0_MAGIC
 CHUNK_BYTES = 4 * 2**20
 """A chunk ends with the message that makes it larger than this, or at `flush`."""
 _MESSAGE = struct.Struct("<BQHIQQ")
-"""Opcode, length, then channel, sequence, time of logging and of publishing."""
+"""Opcode, length, channel, sequence number, log time and publish time."""
 _HEAD_BYTES = 9
-"""Opcode and length of a record."""
+"""Size of a record's opcode and length."""
 
 
 class McapWriter:
-    """Writes one file of ROS 2 messages; `finish` makes it whole. The caller opens and closes the file."""
+    """Writes one file of ROS 2 messages; `finish` completes it. The caller opens and closes the file."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
@@ -51,12 +51,12 @@ class McapWriter:
         self._counts: dict[int, int] = {}
         self._chunk = bytearray()
         self._index: dict[int, list[int]] = {}
-        """Of each channel in the chunk: time and place of its messages, one after the other."""
+        """For each channel in the chunk: time and offset of its messages, alternating."""
         self._chunks: list[ChunkIndex] = []
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
         self.size = 0
-        """Bytes written so far, whole chunks only."""
+        """Bytes written so far, in complete chunks."""
         self._write(MCAP0_MAGIC + _bytes(Header("ros2", LIBRARY_IDENTIFIER)))
 
     def _write(self, data: bytes) -> None:
@@ -65,7 +65,7 @@ class McapWriter:
         self.size += len(data)
 
     def channel(self, topic: str, message_type: str, definition: str) -> int:
-        """Announce a topic, before its first message; returns its number."""
+        """Declare a topic before its first message and return its channel number."""
         if message_type not in self._schemas:
             number = len(self._schemas) + 1
             schema = Schema(id=number, data=definition.encode(), encoding=SchemaEncoding.ROS2, name=message_type)
@@ -80,7 +80,7 @@ class McapWriter:
         return channel.id
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
-        """Put a file into this one."""
+        """Add an attachment."""
         record = _bytes(Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data))
         self._attachments.append(
             AttachmentIndex(
@@ -91,13 +91,13 @@ class McapWriter:
         self._write(record)
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Note some texts by name; they stand behind the chunks that are written so far."""
+        """Add a metadata record after the chunks that are written so far."""
         record = _bytes(Metadata(metadata=dict(values), name=name))
         self._metadata.append(MetadataIndex(offset=self.size, length=len(record), name=name))
         self._write(record)
 
     def message(self, channel: int, sequence: int, time: int, data: bytes) -> None:
-        """Write a message, `time` in nanoseconds."""
+        """Write a message; `time` is in nanoseconds."""
         self._index.setdefault(channel, []).extend((time, len(self._chunk)))
         body = _MESSAGE.size - _HEAD_BYTES + len(data)
         self._chunk += _MESSAGE.pack(Opcode.MESSAGE, body, channel, sequence, time, time)
@@ -106,7 +106,7 @@ class McapWriter:
             self._end_chunk()
 
     def flush(self) -> None:
-        """End the chunk, if there is a message in it, and give the file all that was written."""
+        """End the chunk if it holds a message, and pass all bytes to the operating system."""
         if self._index:
             self._end_chunk()
         self._file.flush()
@@ -137,7 +137,7 @@ class McapWriter:
         self._index.clear()
 
     def finish(self) -> None:
-        """End the chunk and write the summary: statistics, and where everything is."""
+        """End the chunk and write the summary: statistics and indexes."""
         self.flush()
         self._write(_bytes(DataEnd(self._crc)))
         groups: dict[Opcode, list[McapRecord]] = {

@@ -1,7 +1,7 @@
-"""Records to ROS 2 messages and back.
+"""Conversion of records to ROS 2 messages and back.
 
-What a log holds of every step (`encode_image`, `encode_step`, `encode_metrics`) is packed in one go from what was laid
-out once; the rest, a few messages in thousands, is put together value by value.
+The messages of every step (`encode_image`, `encode_step`, `encode_metrics`) are packed in one call from a layout that
+is computed once. The other messages are rare and are built value by value.
 """
 
 import functools
@@ -16,7 +16,7 @@ from gym_open.envs.constants import IMAGE_SIZE
 from gym_open.envs.physics.contacts import Contact
 from gym_open.envs.puzzles import Puzzle
 from gym_open.formats.logs.cdr import ENCAPSULATION, CdrReader, CdrWriter
-from gym_open.formats.logs.container import Logged
+from gym_open.formats.logs.container import LogMessage
 from gym_open.formats.logs.schemas import (
     DEPTH,
     EVENTS,
@@ -43,44 +43,44 @@ PIXELS: dict[str, tuple[str, np.dtype, tuple[int, ...]]] = {
     DEPTH: ("32FC1", np.dtype("<f4"), (IMAGE_SIZE, IMAGE_SIZE)),
     SEGMENTATION: ("32SC1", np.dtype("<i4"), (IMAGE_SIZE, IMAGE_SIZE)),
 }
-"""ROS's name of the pixels, their type, and the shape of the picture, of each topic with pictures."""
+"""For each topic with images: ROS's name of the encoding, the type of its numbers, and the shape."""
 
 
-def messages_of(record: Record, reward_parts: tuple[str, ...] = ()) -> Iterator[Logged]:
-    """The messages that a record makes, in their order; `reward_parts` names those of a step's reward."""
+def messages_of(record: Record, reward_parts: tuple[str, ...] = ()) -> Iterator[LogMessage]:
+    """Messages of a record, in order; `reward_parts` are the names of a step's reward parts."""
     match record:
         case SegmentStart():
             time = (record.first_step + record.segment_step) * STEP_NS
-            yield Logged(SEGMENT, time, encode_segment(record))
-            yield from _pictures(record, time)
+            yield LogMessage(SEGMENT, time, encode_segment(record))
+            yield from _images(record, time)
         case StepRecord():
             time = record.step * STEP_NS
-            yield Logged(STEP, time, encode_step(record))
-            yield Logged(METRICS, time, encode_metrics(record.metrics, reward_parts, time))
-            yield from _pictures(record, time + STEP_NS)
+            yield LogMessage(STEP, time, encode_step(record))
+            yield LogMessage(METRICS, time, encode_metrics(record.metrics, reward_parts, time))
+            yield from _images(record, time + STEP_NS)
         case Switch():
             time = record.step * STEP_NS
             words = f"step {record.step}: world {record.from_world} -> {record.to_world} ({record.reason})"
-            yield Logged(SWITCH, time, encode_switch(record))
-            yield Logged(EVENTS, time, encode_text(words))
+            yield LogMessage(SWITCH, time, encode_switch(record))
+            yield LogMessage(EVENTS, time, encode_text(words))
         case Stuck():
             time = record.step * STEP_NS
             where = f"{record.position[0]:.2f}, {record.position[1]:.2f}, {record.position[2]:.2f}"
             how = ("stuck in a corner" if record.kind == "corner" else "stuck") if record.began else "free again"
-            yield Logged(STUCK, time, encode_stuck(record))
-            yield Logged(EVENTS, time, encode_text(f"step {record.step}: {record.name} {how} at ({where})"))
+            yield LogMessage(STUCK, time, encode_stuck(record))
+            yield LogMessage(EVENTS, time, encode_text(f"step {record.step}: {record.name} {how} at ({where})"))
 
 
-def _pictures(record: SegmentStart | StepRecord, time: int) -> Iterator[Logged]:
-    yield Logged(IMAGE, time, encode_image(IMAGE, record.image, time))
+def _images(record: SegmentStart | StepRecord, time: int) -> Iterator[LogMessage]:
+    yield LogMessage(IMAGE, time, encode_image(IMAGE, record.image, time))
     if record.depth is not None:
-        yield Logged(DEPTH, time, encode_image(DEPTH, record.depth, time))
+        yield LogMessage(DEPTH, time, encode_image(DEPTH, record.depth, time))
     if record.segmentation is not None:
-        yield Logged(SEGMENTATION, time, encode_image(SEGMENTATION, record.segmentation, time))
+        yield LogMessage(SEGMENTATION, time, encode_image(SEGMENTATION, record.segmentation, time))
 
 
 _STAMP = struct.Struct("<4siI")
-"""Encapsulation, seconds, nanoseconds: how every message begins that has a header."""
+"""Encapsulation, seconds, nanoseconds: the first bytes of every message with a header."""
 
 
 def _stamp(nanoseconds: int) -> bytes:
@@ -88,7 +88,7 @@ def _stamp(nanoseconds: int) -> bytes:
 
 
 def _header() -> CdrWriter:
-    """A message so far as a header with the time 0."""
+    """A message that consists of a header with the time 0."""
     out = CdrWriter()
     out.scalar("i", 0)
     out.scalar("I", 0)
@@ -97,10 +97,10 @@ def _header() -> CdrWriter:
 
 
 def encode_image(topic: str, image: np.ndarray, nanoseconds: int) -> bytes:
-    """`sensor_msgs/msg/Image` of a picture.
+    """Encode an image as `sensor_msgs/msg/Image`.
 
     Raises:
-        ValueError: if it has another shape or type than `PIXELS` says for the topic.
+        ValueError: if its shape or type is not what `PIXELS` says for the topic.
     """
     before = _before_pixels(topic, image.shape, image.dtype)
     return b"".join((_stamp(nanoseconds), before, np.ascontiguousarray(image).data))
@@ -108,10 +108,10 @@ def encode_image(topic: str, image: np.ndarray, nanoseconds: int) -> bytes:
 
 @functools.cache
 def _before_pixels(topic: str, shape: tuple[int, ...], kind: np.dtype) -> bytes:
-    """All of an image message between its stamp and its pixels."""
+    """The bytes of an image message between its stamp and its pixels."""
     encoding, *expected = PIXELS[topic]
     if [kind, shape] != expected:
-        raise ValueError(f"{topic}: expected a picture of {expected[0]} {expected[1]}, got {kind} {shape}")
+        raise ValueError(f"{topic}: expected an image of {expected[0]} {expected[1]}, got {kind} {shape}")
     out = _header()
     out.scalar("I", shape[0])
     out.scalar("I", shape[1])
@@ -124,16 +124,16 @@ def _before_pixels(topic: str, shape: tuple[int, ...], kind: np.dtype) -> bytes:
 
 
 def decode_image(topic: str, message: bytes) -> np.ndarray:
-    """The picture of an image message, read-only.
+    """Decode the image of an image message; the array is read-only.
 
     Raises:
-        ValueError: if it has another size or encoding than the topic's.
+        ValueError: if its size or encoding is not the topic's.
     """
     encoding, kind, shape = PIXELS[topic]
     before = _before_pixels(topic, shape, kind)
     start = _STAMP.size + len(before)
     if message.startswith(before, _STAMP.size) and len(message) == start + kind.itemsize * math.prod(shape):
-        return np.frombuffer(message, kind, offset=start).reshape(shape)  # as we write it
+        return np.frombuffer(message, kind, offset=start).reshape(shape)  # the layout that our writer gives it
     data = CdrReader(message)
     data.scalar("i")
     data.scalar("I")
@@ -148,7 +148,7 @@ def decode_image(topic: str, message: bytes) -> np.ndarray:
 
 @functools.cache
 def _step_head(parts: int) -> struct.Struct:
-    """A step up to its contacts, but for the state: that comes between the last two numbers."""
+    """A step up to its contacts, without the values of the object state."""
     sequence = f"I4x{parts}d" if parts else "I"
     return struct.Struct(f"<4sQIIB7x4d{sequence}I{'4x' if parts else ''}")
 
@@ -158,7 +158,7 @@ _CONTACT = struct.Struct("<7d")
 
 
 def encode_step(record: StepRecord) -> bytes:
-    """`gym_open_msgs/msg/Step`, all of the record but its pictures."""
+    """Encode a step, without its images, as `gym_open_msgs/msg/Step`."""
     metrics, parts = record.metrics, record.metrics.reward_parts
     state = np.ascontiguousarray(record.object_state, "<f8")
     message = bytearray(
@@ -177,7 +177,7 @@ def encode_step(record: StepRecord) -> bytes:
 
 @functools.cache
 def _contact_names(a: str, b: str, phase: int) -> bytes:
-    """The two names of a contact and what aligns its numbers, `phase` bytes behind a multiple of 8."""
+    """The two names of a contact and the padding before its numbers; they begin `phase` bytes after a multiple of 8."""
     out = CdrWriter()
     for _ in range(phase):
         out.scalar("B", 0)
@@ -190,7 +190,7 @@ def _contact_names(a: str, b: str, phase: int) -> bytes:
 def decode_step(
     message: bytes, image: np.ndarray, depth: np.ndarray | None = None, segmentation: np.ndarray | None = None
 ) -> StepRecord:
-    """The record of a step message and of the pictures that followed it.
+    """Decode a step message and add the images that followed it.
 
     Raises:
         ValueError: if the message is not of that type.
@@ -211,7 +211,7 @@ def _contact(data: CdrReader) -> Contact:
 
 
 def encode_segment(start: SegmentStart) -> bytes:
-    """`gym_open_msgs/msg/Segment`, all of the start but its pictures; the puzzle by digest (the pool is attached)."""
+    """Encode a keyframe, without its images, as `gym_open_msgs/msg/Segment`; the puzzle by its digest."""
     out = CdrWriter()
     out.scalar("I", start.index)
     out.scalar("Q", start.first_step)
@@ -232,10 +232,10 @@ def decode_segment(
     depth: np.ndarray | None = None,
     segmentation: np.ndarray | None = None,
 ) -> SegmentStart:
-    """The keyframe of a message and of the pictures that followed it, its puzzle looked up in the `pool`.
+    """Decode a keyframe and add the images that followed it; its puzzle is looked up in `pool`.
 
     Raises:
-        ValueError: if the message is not of that type, or its puzzle is not the pool's.
+        ValueError: if the message is not of that type, or the pool does not hold its puzzle.
     """
     data = CdrReader(message)
     index, first_step, segment_step, world = (data.integer(code) for code in "IQIi")
@@ -251,7 +251,7 @@ def decode_segment(
 
 
 def encode_switch(switch: Switch) -> bytes:
-    """`gym_open_msgs/msg/Switch`."""
+    """Encode a switch as `gym_open_msgs/msg/Switch`."""
     out = CdrWriter()
     out.scalar("Q", switch.step)
     out.scalar("i", switch.from_world)
@@ -262,7 +262,7 @@ def encode_switch(switch: Switch) -> bytes:
 
 
 def decode_switch(message: bytes) -> Switch:
-    """The switch of a message.
+    """Decode a switch.
 
     Raises:
         ValueError: if the message is not of that type (`msgspec.ValidationError` is one).
@@ -274,7 +274,7 @@ def decode_switch(message: bytes) -> Switch:
 
 
 def encode_stuck(stuck: Stuck) -> bytes:
-    """`gym_open_msgs/msg/Stuck`."""
+    """Encode a stuck record as `gym_open_msgs/msg/Stuck`."""
     out = CdrWriter()
     out.scalar("Q", stuck.step)
     out.scalar("I", stuck.segment)
@@ -286,7 +286,7 @@ def encode_stuck(stuck: Stuck) -> bytes:
 
 
 def decode_stuck(message: bytes) -> Stuck:
-    """The stuck thing of a message.
+    """Decode a stuck record.
 
     Raises:
         ValueError: if the message is not of that type (`msgspec.ValidationError` is one).
@@ -298,21 +298,21 @@ def decode_stuck(message: bytes) -> Stuck:
 
 
 def encode_metrics(metrics: StepMetrics, reward_parts: tuple[str, ...], nanoseconds: int) -> bytes:
-    """`sensor_msgs/msg/JointState`: a step's figures and the named parts of its reward, which viewers plot."""
-    figures = (metrics.intrinsic_reward, metrics.world_model_loss, metrics.policy_entropy, metrics.value)
-    values = _metrics(4 + len(reward_parts)).pack(*figures, *metrics.reward_parts, 0, 0)
+    """Encode a step's metrics and the named parts of its reward as `sensor_msgs/msg/JointState`, which viewers plot."""
+    numbers = (metrics.intrinsic_reward, metrics.world_model_loss, metrics.policy_entropy, metrics.value)
+    values = _metrics(4 + len(reward_parts)).pack(*numbers, *metrics.reward_parts, 0, 0)
     return b"".join((_stamp(nanoseconds), _before_metrics(reward_parts), values))
 
 
 @functools.cache
 def _metrics(count: int) -> struct.Struct:
-    """The positions, then no velocity and no effort."""
+    """`count` positions, no velocity, no effort."""
     return struct.Struct(f"<{count}dII")
 
 
 @functools.cache
 def _before_metrics(reward_parts: tuple[str, ...]) -> bytes:
-    """All of a metrics message between its stamp and its numbers."""
+    """The bytes of a metrics message between its stamp and its numbers."""
     names = METRIC_NAMES + tuple(f"intrinsic_reward/{part}" for part in reward_parts)
     out = _header()
     out.strings(names)
@@ -322,7 +322,7 @@ def _before_metrics(reward_parts: tuple[str, ...]) -> bytes:
 
 
 def encode_text(text: str) -> bytes:
-    """`std_msgs/msg/String`."""
+    """Encode a text as `std_msgs/msg/String`."""
     out = CdrWriter()
     out.string(text)
     return out.data

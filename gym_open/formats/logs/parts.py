@@ -1,4 +1,4 @@
-"""The files of one stream's log: messages go into one of them until it is large, then into the next."""
+"""The files of one stream's log: when a file is large enough, the next one begins."""
 
 import os
 from collections.abc import Iterator
@@ -9,25 +9,25 @@ import msgspec
 
 from gym_open.artefacts import canonical_json
 from gym_open.formats.logs import schemas
-from gym_open.formats.logs.container import Logged
+from gym_open.formats.logs.container import LogMessage
 from gym_open.formats.logs.mcap import McapWriter
 from gym_open.formats.logs.messages import messages_of
 from gym_open.formats.logs.schemas import LogError, LogHead, Record, SegmentStart
 
 
 class LogParts:
-    """Writes one stream's records in `folder`, from part `part` on; for one thread at a time.
+    """Writes the records of one stream in `folder`, from part `part` on; for one thread at a time.
 
     Raises:
-        LogError: from any method, if the disk is full, or a message is not the one that was `expected`.
+        LogError: from any method, if the disk is full, or a message differs from the `expected` one.
     """
 
     def __init__(self, folder: Path, head: LogHead, roll_bytes: int, *, part: int = 0, messages: int = 0) -> None:
         self._folder, self._head, self._roll_bytes = folder, head, roll_bytes
         self.messages = messages
-        """Messages in all parts together."""
-        self.expected: Iterator[Logged] = iter(())
-        """What a killed writer had written after this; as long as there is any, messages are compared with it."""
+        """Number of messages in all parts."""
+        self.expected: Iterator[LogMessage] = iter(())
+        """Messages that a killed writer had written after this point; new messages are compared with them."""
         self._open(part)
 
     def _open(self, part: int) -> None:
@@ -60,7 +60,7 @@ class LogParts:
         writer.metadata(schemas.PROVENANCE, dict(sorted(head.provenance.items())))
 
     def add(self, record: Record) -> None:
-        """Write a record; in a new file, if this one is large and the record is a keyframe."""
+        """Write a record; a keyframe goes into a new file if the present file is large enough."""
         if isinstance(record, SegmentStart) and self.messages > self._first and self._writer.size >= self._roll_bytes:
             self._roll()
         for message in messages_of(record, self._head.reward_parts):
@@ -70,14 +70,14 @@ class LogParts:
         self.finish(goes_on=True)
         self._open(self._part + 1)
 
-    def put(self, message: Logged) -> None:
+    def put(self, message: LogMessage) -> None:
         """Write a message."""
         expected = next(self.expected, message)
         if expected != message:
             raise LogError(
-                f"{self._path}: message {self.messages} ({message.topic}) is not the one that had been logged before "
-                "the run was killed, so going on would not be the same run (another machine or changed packages?); "
-                "the old log is kept: move the unfinished folder away to start over"
+                f"{self._path}: message {self.messages} ({message.topic}) differs from the one logged before the run "
+                "was killed, so this would be another run (another machine or changed packages?); the old log is kept: "
+                "move the unfinished folder away to start over"
             )
         try:
             self._writer.message(self._channels[message.topic], self.messages, message.time, message.data)
@@ -86,18 +86,18 @@ class LogParts:
         self.messages += 1
 
     def flush(self) -> None:
-        """End the chunk: all that was written is safe from a kill of this process."""
+        """End the chunk: all messages so far survive a kill of this process."""
         with self._full_disk():
             self._writer.flush()
 
     def sync(self) -> None:
-        """Flush to the disk itself: safe from a power cut too."""
+        """Flush to the disk: all messages so far survive a power cut."""
         self.flush()
         with self._full_disk():
             os.fsync(self._file.fileno())
 
     def finish(self, *, goes_on: bool = False) -> None:
-        """Write the file's index; it is whole after this. If the stream `goes_on` in a further part, say so before."""
+        """Write the file's index, which completes it; `goes_on` notes that another part continues the stream."""
         with self._full_disk():
             if goes_on:
                 self._writer.flush()
@@ -107,7 +107,7 @@ class LogParts:
             self._file.close()
 
     def abandon(self) -> None:
-        """Close the file unfinished: a reader must see that the log is not whole."""
+        """Close the file without an index, so that readers see that the log is incomplete."""
         with suppress(OSError):
             self._file.close()
 
@@ -120,6 +120,6 @@ class LogParts:
 
     def _unwritable(self, error: OSError) -> LogError:
         return LogError(
-            f"{self._path}: cannot be written ({error.strerror}); what was written before is kept: make room, then run "
-            "the same command again (it goes on)"
+            f"{self._path}: cannot be written ({error.strerror}); what was written before is kept: make room, then "
+            "run the same command again (it continues)"
         )

@@ -1,4 +1,4 @@
-"""Reading a log: checked byte for byte when it is opened, then as much of it in memory at a time as is asked for."""
+"""Reader of logs: it checks every byte when a log is opened, then reads piece by piece."""
 
 from collections.abc import Iterator, Sequence
 from itertools import chain
@@ -6,20 +6,20 @@ from pathlib import Path
 
 from gym_open.errors import ArtefactError, GymOpenError, UsageError
 from gym_open.formats.logs import schemas
-from gym_open.formats.logs.container import Logged
+from gym_open.formats.logs.container import LogMessage
 from gym_open.formats.logs.logfile import REPAIR, RESTORE, LogFile, foreign, open_file, open_whole_chunks
 from gym_open.formats.logs.messages import PIXELS, decode_stuck, decode_switch
 from gym_open.formats.logs.schemas import LogError, Segment, Stuck, Switch, UnfinishedError, log_name
 from gym_open.formats.logs.segments import HEADS, decode_record, groups, is_complete, segments
 
-UNFINISHED = "it has no last switch: its writer was not finished"
+UNFINISHED = "it has no last switch: its writer did not finish"
 
 
 def found_files(artefact: Path) -> dict[int, dict[int, Path]]:
-    """The log files in a folder, by stream and part, whether all are there or not.
+    """Find the log files in a folder, by stream and part; parts may be missing.
 
     Raises:
-        ArtefactError: if there is none.
+        ArtefactError: if there is no log file.
     """
     streams: dict[int, dict[int, Path]] = {}
     for path in sorted(artefact.glob("stream-*.mcap")):
@@ -31,10 +31,10 @@ def found_files(artefact: Path) -> dict[int, dict[int, Path]]:
 
 
 def log_files(artefact: Path) -> list[list[Path]]:
-    """The files of a log artefact: the parts of each stream, both in order.
+    """Find the files of a log artefact: the parts of each stream, in order.
 
     Raises:
-        ArtefactError: if there is none, or a part is missing.
+        ArtefactError: if there is no log file, or a part is missing.
     """
     found = found_files(artefact)
     for stream, parts in found.items():
@@ -46,17 +46,17 @@ def log_files(artefact: Path) -> list[list[Path]]:
 
 
 class Log:
-    """One stream's log, opened by `open_log`; of a single file that is a part of it, what that file holds.
+    """The log of one stream, opened by `open_log`. Opened from a single part, it holds that part only.
 
     Args:
         files: the parts, in order.
-        damage: why nothing comes after them, if more was to come: then the last record need not be whole, nor the last.
+        damage: why the log ends after them, if it should continue; then its last record may be incomplete.
     """
 
     def __init__(self, files: Sequence[LogFile], damage: str | None = None) -> None:
         self._files = files
         self.damage = damage
-        """What is wrong behind all that is here; None of a log that is whole."""
+        """What is wrong after the last message; None if nothing is wrong."""
         head = files[0].head
         self.path = files[0].path
         """The first file."""
@@ -78,19 +78,19 @@ class Log:
                 self.stuck.append(decode_stuck(message.data))
         self.n_steps: int = sum(file.count(schemas.STEP) for file in files)
         if damage is not None and (tail := self._last_record()) and tail[0].topic == schemas.STEP:
-            self.n_steps -= not is_complete(tail, self._pictures)
+            self.n_steps -= not is_complete(tail, self._image_topics)
         self._open_end = files[-1].goes_on or damage is not None
         if not self._open_end and (not self.switches or self.switches[-1].to_world != -1):
             raise UnfinishedError(f"{files[-1].path}: {UNFINISHED}; {REPAIR}")
 
     @property
-    def _pictures(self) -> set[str]:
-        """Topics of what the camera sees that are recorded."""
+    def _image_topics(self) -> set[str]:
+        """Topics of the recorded images."""
         return {topic for topic in PIXELS if any(file.count(topic) for file in self._files)}
 
-    def _last_record(self) -> list[Logged]:
-        """The messages of the last record: of a damaged log, those that are left of it."""
-        tail: list[Logged] = []
+    def _last_record(self) -> list[LogMessage]:
+        """The messages of the last record, as far as the damage left them."""
+        tail: list[LogMessage] = []
         places = ((file, place) for file in reversed(self._files) for place in reversed(file.contents.chunks))
         for part, place in places:
             tail = [*part.chunk(place), *tail]
@@ -98,20 +98,20 @@ class Log:
                 return tail[begins[-1] :]
         return tail
 
-    def _messages(self, *topics: str) -> Iterator[Logged]:
+    def _messages(self, *topics: str) -> Iterator[LogMessage]:
         for file in self._files:
             yield from file.messages(*topics)
 
     def segments(self, max_steps: int | None = None, steps: range | None = None) -> Iterator[Segment]:
-        """The segments in the order of play; each is let go before the next is read.
+        """Segments in the order in which they were recorded; only one is held in memory.
 
         Args:
-            max_steps: longer segments come in pieces of this many steps, so that memory does not grow with their
-                length. The observation at a cut is the last one of a piece and the first one of the next.
-            steps: of the stream, half-open: only these are read, and those between the keyframe before and the first.
+            max_steps: segments with more steps are cut into pieces of this many steps, which bounds memory. The
+                observation at a cut is the last of one piece and the first of the next.
+            steps: half-open range of the stream's steps; reading begins at the keyframe before the first of them.
 
         Raises:
-            LogError: if the messages do not make up segments.
+            LogError: if the messages do not form segments.
             UsageError: if `max_steps` is less than 1.
         """
         if max_steps is not None and max_steps < 1:
@@ -124,12 +124,12 @@ class Log:
                 found += len(piece.actions)
                 yield piece
             if found != self.n_steps and self.damage is None and steps is None:
-                raise ValueError(f"it holds {found} steps, its index tells of {self.n_steps}")
+                raise ValueError(f"it holds {found} steps, its index says {self.n_steps}")
         except ValueError as error:
             raise LogError(f"{self.path}: {error}; {RESTORE}") from None
 
-    def _messages_of(self, steps: range) -> Iterator[Logged]:
-        """From the keyframe before these steps, or from the beginning, to what ends the last of them."""
+    def _messages_of(self, steps: range) -> Iterator[LogMessage]:
+        """Messages from the keyframe before these steps (or the beginning) to the end of the last of them."""
         first, start = 0, None
         for first in reversed(range(len(self._files))):
             if (start := self._files[first].messages_from(steps.start)) is not None:
@@ -140,26 +140,26 @@ class Log:
                 return
             yield message
 
-    def _groups(self, messages: Iterator[Logged]) -> Iterator[list[Logged]]:
-        """The messages of each record, but not of a last one that the damage took a part of."""
-        held: list[Logged] | None = None
+    def _groups(self, messages: Iterator[LogMessage]) -> Iterator[list[LogMessage]]:
+        """The messages of each record, without a last record that the damage made incomplete."""
+        held: list[LogMessage] | None = None
         for group in groups(messages):
             if held is not None:
                 yield held
             held = group
-        if held is not None and (self.damage is None or is_complete(held, self._pictures)):
+        if held is not None and (self.damage is None or is_complete(held, self._image_topics)):
             yield held
 
 
 def open_log(source: Path | Sequence[Path]) -> Log:
-    """Check a log, every byte of it, and open it.
+    """Check every byte of a log and open it.
 
     Args:
-        source: one file, which may be any part of a stream's log, or all parts of one, in order.
+        source: one file (any part of a stream's log), or all parts of a stream in order.
 
     Raises:
         LogError: if a file is missing, cut off, damaged, or not a log of this format (the message names the byte, the
-            last whole step before it, and what to do), or if the parts do not follow on one another.
+            last whole step before it, and the remedy), or if the parts are not consecutive.
     """
     alone = isinstance(source, Path)
     files = [open_file(path) for path in ([source] if alone else source)]
@@ -182,32 +182,32 @@ def log_of(files: Sequence[LogFile], damage: str | None = None) -> Log:
 
 
 def open_logs(artefact: Path) -> list[Log]:
-    """Every stream's log in a log artefact, all parts checked.
+    """Check and open the log of every stream in a log artefact.
 
     Raises:
-        ArtefactError: as `log_files` and `open_log` do.
+        ArtefactError: see `log_files` and `open_log`.
     """
     return [open_log(parts) for parts in log_files(artefact)]
 
 
 def open_whole_part(files: Sequence[Path]) -> Log:
-    """Open as much of a log as is whole: up to the first byte that cannot be right, a missing part, or no last switch.
+    """Open the undamaged beginning of a log: it ends at the first damage or missing part.
 
     Args:
-        files: parts of one stream's log, in order; the first ones may be missing.
+        files: parts of one stream's log, in order; the first parts may be missing.
 
     Returns:
-        A log whose `damage` says in words why it ends where it does; None if it is whole.
+        A log whose `damage` says why it ends there; `damage` is None if the log is complete.
 
     Raises:
-        LogError: if there is nothing whole at all: no head, or a log of another format.
+        LogError: if the head of the first file is damaged or of another format.
     """
     found: list[LogFile] = []
     damage: str | None = None
     for path in files:
         file, wrong = open_whole_chunks(path)
         if found and (file.head != found[0].head or file.part != found[-1].part + 1):
-            damage = f"what follows is missing: {path.name} is part {file.part}, of this or another run"
+            damage = f"the next part is missing: {path.name} is part {file.part}, of this or another run"
             break
         found.append(file)
         if wrong is not None:
@@ -215,7 +215,7 @@ def open_whole_part(files: Sequence[Path]) -> Log:
             break
     else:
         if len(files) > 1 and found[-1].goes_on:
-            damage = f"{log_name(found[-1].head.stream, found[-1].part + 1)}, in which it goes on, is missing"
+            damage = f"{log_name(found[-1].head.stream, found[-1].part + 1)}, in which it continues, is missing"
     try:
         return log_of(found, damage)
     except UnfinishedError:
@@ -223,7 +223,7 @@ def open_whole_part(files: Sequence[Path]) -> Log:
 
 
 def _check_parts(files: Sequence[LogFile]) -> None:
-    """Raises LogError if the files are not all parts of one stream."""
+    """Raises LogError if the files are not all the parts of one stream, in order."""
     for number, file in enumerate(files):
         if file.head != files[0].head:
             raise LogError(
@@ -235,6 +235,6 @@ def _check_parts(files: Sequence[LogFile]) -> None:
         last = number == len(files) - 1
         if last and file.goes_on:
             following = log_name(file.head.stream, number + 1)
-            raise LogError(f"{file.path}: the stream goes on in {following}, which is missing; {RESTORE}")
+            raise LogError(f"{file.path}: the stream continues in {following}, which is missing; {RESTORE}")
         if not last and not file.goes_on:
             raise LogError(f"{file.path}: the stream ends in it, so {files[number + 1].path} is not a part of it")

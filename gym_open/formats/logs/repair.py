@@ -1,4 +1,4 @@
-"""Saving what is whole of a damaged log file: everything up to the last step before the damage, in a file beside it."""
+"""Repair of a damaged log file: all records up to the last whole step before the damage go into a new file."""
 
 import re
 import shutil
@@ -13,7 +13,7 @@ import numpy as np
 from gym_open import progress
 from gym_open.formats.logs import schemas
 from gym_open.formats.logs.cdr import CdrReader
-from gym_open.formats.logs.container import Damage, Logged, first_number, whole_chunks
+from gym_open.formats.logs.container import Damage, LogMessage, first_number, whole_chunks
 from gym_open.formats.logs.logfile import LogFile, open_whole_chunks
 from gym_open.formats.logs.messages import PIXELS, decode_switch
 from gym_open.formats.logs.parts import LogParts
@@ -22,75 +22,75 @@ from gym_open.formats.logs.schemas import LogError, SegmentStart, Switch, Unfini
 from gym_open.formats.logs.segments import decode_record, groups, is_complete
 
 _NO_LIMIT = sys.maxsize
-"""Bytes at which a file would roll: a repaired one does not."""
+"""Size at which a next file would begin: a repaired log has one file."""
 _PIECE = 256
-"""Steps in memory at a time while a file is read."""
+"""Steps held in memory while a file is read."""
 _UNFINISHED = re.compile(r"\.(.+)\.partial")
-"""Name of the folder of an artefact in the making: what is in it belongs to the run that makes it."""
+"""Name of the folder of an unfinished artefact: its files belong to the run that makes it."""
 
 
-class Repair(msgspec.Struct, frozen=True):
-    """What came of a repair."""
+class RepairedLog(msgspec.Struct, frozen=True):
+    """The result of a repair."""
 
     saved: Path | None
-    """The new file; None if the old one is whole."""
+    """The new file; None if the old file is complete."""
     steps: int = 0
-    """Steps saved."""
+    """Number of saved steps."""
     last_step: int | None = None
-    """The stream's number of the last of them."""
+    """Number of the last saved step within the stream."""
     offset: int = 0
-    """First byte of the old file that cannot be right."""
+    """Offset of the damage in the old file."""
     missing_bytes: int = 0
-    """From there to its end."""
+    """Bytes from there to the end of the old file."""
     what: str = ""
-    """What is wrong there."""
+    """Description of the damage."""
     cut: bool = False
-    """Whether play went on in what is missing; else all of it was saved, and only the file's index was lost."""
+    """True: steps were lost. False: all steps were saved, and only the file's index was lost."""
 
 
-class _Whole(msgspec.Struct):
-    """The part of a file that can be saved."""
+class _Saved(msgspec.Struct):
+    """The beginning of a file that can be saved."""
 
     groups: int = 0
-    """How many records, from the first on."""
+    """Number of its records."""
     steps: int = 0
     last_step: int | None = None
     end: Switch | None = None
-    """The switch to add after them; None if play had ended, or goes on in a further part."""
+    """The switch to add after them; None if the stream had ended, or continues in another part."""
 
 
-def repair(path: Path) -> Repair:
-    """Write what is whole of the log file at `path` to `NAME-repaired.mcap` beside it.
+def repair(path: Path) -> RepairedLog:
+    """Write the undamaged beginning of the log file at `path` to `NAME-repaired.mcap` in the same folder.
 
-    If it lies in an artefact's unfinished folder `.ARTEFACT.partial`, the new file is `ARTEFACT-NAME-repaired.mcap`
-    beside that. The new file is whole or absent; it is read back before it gets its name. If play went on in what is
-    missing, it ends with a switch whose reason is `cut`. The old file is left as it is.
+    If `path` lies in the unfinished folder `.ARTEFACT.partial` of an artefact, the new file is
+    `ARTEFACT-NAME-repaired.mcap` next to that folder. The new file is complete or absent; it is read back before it
+    gets its name. If steps were lost, it ends with a switch whose reason is `cut`. The old file stays unchanged.
 
     Raises:
-        LogError: if nothing can be saved: the file is none of ours, its head is damaged, no step in it is whole, or its
-            bytes are whole but what they say makes no log; or if the new file is there already.
+        LogError: if nothing can be saved (the file is not a log, its head is damaged, it has no whole step, or its
+            messages do not form a log), or if the new file exists already.
     """
     target = _target(path)
     file, found = open_whole_chunks(path)
     found = found or _no_end(file)
     if found is None:
-        return Repair(saved=None)
+        return RepairedLog(saved=None)
     if target.exists():
-        raise LogError(f"{target}: is there already and is not overwritten; move it away and run the command again")
+        raise LogError(f"{target}: exists already and is not overwritten; move it away and run the command again")
     with progress.bar("repairing", 2 * len(file.contents.chunks)) as bar:
         try:
-            whole = _whole(file, bar)
-            _write(file, target, whole, bar)
+            saved = _saved(file, bar)
+            _write(file, target, saved, bar)
         except ValueError as error:
             raise LogError(f"{path}: not written by `gym-open collect`: {error}; nothing can be saved") from None
-    return Repair(
-        saved=target, steps=whole.steps, last_step=whole.last_step, offset=found.offset, what=found.what,
-        missing_bytes=path.stat().st_size - found.offset, cut=whole.end is not None,
+    return RepairedLog(
+        saved=target, steps=saved.steps, last_step=saved.last_step, offset=found.offset, what=found.what,
+        missing_bytes=path.stat().st_size - found.offset, cut=saved.end is not None,
     )  # fmt: skip
 
 
 def _target(path: Path) -> Path:
-    """Where the new file goes."""
+    """Path of the new file."""
     for folder in path.absolute().parents:
         if unfinished := _UNFINISHED.fullmatch(folder.name):
             return folder.with_name(f"{unfinished[1]}-{path.stem}-repaired.mcap")
@@ -111,29 +111,29 @@ def _read(log: Log) -> None:
         pass
 
 
-def _complete(path: Path, bar: progress.Bar) -> Iterator[list[Logged]]:
-    """Messages of each record that is whole, in order: of the last one, some may be missing."""
+def _complete(path: Path, bar: progress.Bar) -> Iterator[list[LogMessage]]:
+    """Messages of each complete record, in order; the last record may be incomplete."""
 
-    def messages() -> Iterator[Logged]:
+    def messages() -> Iterator[LogMessage]:
         for chunk in whole_chunks(path):
             yield from chunk
             bar.advance()
 
-    held: list[Logged] = []
-    pictures: set[str] = set()
+    held: list[LogMessage] = []
+    images: set[str] = set()
     for group in groups(messages()):
         if held:
             yield held
         held = group
         if group[0].topic == schemas.SEGMENT:
-            pictures = pictures or {message.topic for message in group} & set(PIXELS)
-    if held and is_complete(held, pictures):
+            images = images or {message.topic for message in group} & set(PIXELS)
+    if held and is_complete(held, images):
         yield held
 
 
-def _whole(file: LogFile, bar: progress.Bar) -> _Whole:
+def _saved(file: LogFile, bar: progress.Bar) -> _Saved:
     """Find the last record that can be saved. Raises LogError if there is no step before it."""
-    whole, switched, world, now = _Whole(), 0, -1, 0
+    saved, switched, world, now = _Saved(), 0, -1, 0
     last = Switch(0, -1, -1, "start", [np.nan] * len(file.head.puzzles))
     for group in _complete(file.path, bar):
         topic, _, data = group[0]
@@ -142,23 +142,23 @@ def _whole(file: LogFile, bar: progress.Bar) -> _Whole:
             assert isinstance(start, SegmentStart)
             world, now = start.world, start.first_step + start.segment_step
         elif topic == schemas.STEP:
-            whole.last_step = CdrReader(data).integer("Q")
-            whole.steps, now = whole.steps + 1, whole.last_step + 1
+            saved.last_step = CdrReader(data).integer("Q")
+            saved.steps, now = saved.steps + 1, saved.last_step + 1
         elif topic == schemas.SWITCH:
-            last, switched, world = decode_switch(data), whole.groups, -1
-        whole.groups += 1
-    if not whole.steps:
+            last, switched, world = decode_switch(data), saved.groups, -1
+        saved.groups += 1
+    if not saved.steps:
         raise LogError(f"{file.path}: no whole step in it before the damage; nothing can be saved")
     if file.goes_on:
-        return whole
+        return saved
     if world >= 0:
-        whole.end = Switch(now, world, -1, "cut", last.world_losses)
-    elif last.to_world >= 0:  # the world that was entered has left no trace
-        whole.groups, whole.end = switched, msgspec.structs.replace(last, to_world=-1, reason="cut")
-    return whole
+        saved.end = Switch(now, world, -1, "cut", last.world_losses)
+    elif last.to_world >= 0:  # no record of the world that the stream entered was saved
+        saved.groups, saved.end = switched, msgspec.structs.replace(last, to_world=-1, reason="cut")
+    return saved
 
 
-def _write(file: LogFile, target: Path, whole: _Whole, bar: progress.Bar) -> None:
+def _write(file: LogFile, target: Path, saved: _Saved, bar: progress.Bar) -> None:
     path = file.path
     partial = target.with_name(f".{target.stem}.partial")
     shutil.rmtree(partial, ignore_errors=True)
@@ -166,11 +166,11 @@ def _write(file: LogFile, target: Path, whole: _Whole, bar: progress.Bar) -> Non
     try:
         files = LogParts(partial, file.head, _NO_LIMIT, part=file.part, messages=first_number(path))
         try:
-            for group in islice(_complete(path, bar), whole.groups):
+            for group in islice(_complete(path, bar), saved.groups):
                 for message in group:
                     files.put(message)
-            if whole.end is not None:
-                files.add(whole.end)
+            if saved.end is not None:
+                files.add(saved.end)
             files.finish(goes_on=file.goes_on)
         except BaseException:
             files.abandon()
@@ -178,7 +178,7 @@ def _write(file: LogFile, target: Path, whole: _Whole, bar: progress.Bar) -> Non
         made = partial / log_name(file.head.stream, file.part)
         try:
             _read(open_log(made))
-        except LogError as error:  # bytes that are all right, but make no log
+        except LogError as error:  # no byte is damaged, but the messages do not form a log
             raise LogError(f"{str(error).replace(str(made), str(path))}; nothing can be saved") from None
         made.rename(target)
     finally:

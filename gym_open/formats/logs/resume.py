@@ -1,7 +1,7 @@
-"""Going on with the log of a writer that was killed, so that the files become what they would have been.
+"""Continuation of the log of a killed writer; the files become those of an uninterrupted run.
 
-What was logged after the last checkpoint is played again. It is put aside first, and what is played is compared with
-it, message by message: a run that goes another way is found out.
+A resumed run repeats the steps after its last checkpoint. Their messages are moved aside first, and the repeated ones
+are compared with them, so that a run that differs is detected.
 """
 
 from collections.abc import Iterator
@@ -9,7 +9,7 @@ from contextlib import suppress
 from itertools import chain
 from pathlib import Path
 
-from gym_open.formats.logs.container import Damage, Logged, chunks, read_contents, whole_chunks
+from gym_open.formats.logs.container import Damage, LogMessage, chunks, read_contents, whole_chunks
 from gym_open.formats.logs.parts import LogParts
 from gym_open.formats.logs.schemas import LogError, LogHead, log_name, parse_log_name
 from gym_open.formats.logs.writer import ROLL_BYTES, LogWriter
@@ -18,14 +18,15 @@ from gym_open.formats.logs.writer import ROLL_BYTES, LogWriter
 def resume_writer(
     folder: Path, aside: Path, head: LogHead, messages: int, *, roll_bytes: int = ROLL_BYTES
 ) -> LogWriter:
-    """A writer for `head.stream` in `folder` that goes on after the first `messages` messages of a killed one.
+    """Return a writer for `head.stream` in `folder` that continues after a killed writer's first `messages` messages.
 
-    Finished files that lie wholly before are kept as they are. The rest is moved to `aside`; the messages that belong
-    to the checkpoint are copied from there, and all that is written later is held to what follows them. A writer killed
-    again loses nothing: of each file, `aside` keeps whichever holds more. If there are no files, the log begins.
+    Complete files before that point stay as they are. The other files are moved to `aside`. Their messages up to that
+    point are copied from there; later messages of the new writer are compared with the remaining ones. A writer that is
+    killed again loses nothing: of each file, `aside` keeps the version with more messages. Without files, a new log
+    begins.
 
     Raises:
-        LogError: if the files hold fewer messages; later, from the writer, if a message is not the one that was there.
+        LogError: if the files hold fewer messages; later, from the writer, if a message differs from the earlier one.
     """
     part, before = _kept(folder, head.stream, messages)
     old = _set_aside(folder, aside, head.stream, part)
@@ -39,7 +40,7 @@ def resume_writer(
         if files.messages != messages:
             raise LogError(
                 f"{folder}: the whole chunks of stream {head.stream}'s log hold {files.messages} messages, the "
-                f"checkpoint was taken after {messages}; they were changed since: restore them, or remove the "
+                f"checkpoint was taken after {messages}; the files were changed since: restore them, or remove the "
                 "unfinished folder to start over"
             )
     except BaseException:
@@ -50,7 +51,7 @@ def resume_writer(
 
 
 def _kept(folder: Path, stream: int, messages: int) -> tuple[int, int]:
-    """How many finished parts lie wholly before the checkpoint, and how many messages they hold."""
+    """Number of complete parts before the checkpoint, and number of their messages."""
     part, held = 0, 0
     while (count := _finished(folder / log_name(stream, part))) is not None and held + count <= messages:
         part, held = part + 1, held + count
@@ -58,7 +59,7 @@ def _kept(folder: Path, stream: int, messages: int) -> tuple[int, int]:
 
 
 def _finished(path: Path) -> int | None:
-    """Messages of a whole file, by its index; None if it is not whole."""
+    """Number of messages of a complete file, from its index; None if the file is incomplete."""
     if not path.is_file():
         return None
     try:
@@ -68,10 +69,10 @@ def _finished(path: Path) -> int | None:
 
 
 def _set_aside(folder: Path, aside: Path, stream: int, part: int) -> list[Path]:
-    """Move a stream's files from `part` on to `aside`, unless it has more of one already; return what it has then.
+    """Move a stream's files from `part` on to `aside`, unless the file there has more messages; return the files there.
 
-    Every file is moved at once and by itself, so this can be cut short anywhere and done again: two files of the same
-    part begin alike. Files of other names are no part of the log, and stay.
+    Each move is atomic and independent, so this function can be interrupted anywhere and repeated: two files of the
+    same part begin with the same messages. Files with other names do not belong to the log and stay.
     """
     aside.mkdir(exist_ok=True)
     for path in folder.glob(f"stream-{stream:03d}-*.mcap"):
@@ -87,8 +88,8 @@ def _following(folder: Path, stream: int, part: int) -> Iterator[Path]:
         part += 1
 
 
-def _whole_chunks(paths: list[Path]) -> Iterator[list[Logged]]:
-    """Up to the first damage: what stands in a later file does not follow on that."""
+def _whole_chunks(paths: list[Path]) -> Iterator[list[LogMessage]]:
+    """Chunks up to the first damage; later files do not continue from there."""
     with suppress(Damage):
         for path in paths:
             yield from chunks(path)

@@ -1,6 +1,6 @@
-"""What a log holds: its record types, and the topics and ROS 2 definitions of the messages that carry them.
+"""Contents of a log: record types, and the topics and ROS 2 definitions of the messages that carry them.
 
-`messages` turns records into messages and back; docs/data-format.md has the layout of a file.
+The module `messages` converts records to messages and back. docs/data-format.md describes the layout of a file.
 """
 
 import math
@@ -17,11 +17,11 @@ from gym_open.envs.stuck import Stuck
 from gym_open.errors import ArtefactError
 
 FORMAT = "gym-open-log/2"
-"""Version of everything below; a reader refuses another."""
+"""Version of everything below; readers refuse every other version."""
 STATE_WIDTH = 13
-"""Numbers an object: position 3 (m), quaternion wxyz 4, linear velocity 3 (m/s), angular velocity 3 (rad/s)."""
+"""Numbers per object: position 3 (m), quaternion wxyz 4, linear velocity 3 (m/s), angular velocity 3 (rad/s)."""
 STEP_NS = round(CONTROL_DT_S * 1e9)
-"""Simulated nanoseconds a step."""
+"""Simulated nanoseconds per step."""
 _NAME = re.compile(r"stream-([0-9]{3,6})-([0-9]{3,6})\.mcap")
 
 SEGMENT, STEP = "/segment", "/step"
@@ -33,41 +33,41 @@ METRIC_NAMES = ("intrinsic_reward", "world_model_loss", "policy_entropy", "value
 CONFIG, MODEL, POOL = "config.json", "model.xml", "puzzles.json"
 """Attachments of every file."""
 HEAD, PROVENANCE, CONTINUES = "gym-open", "provenance", "continues"
-"""Metadata records of a file; the last one only if the stream goes on in a further part."""
+"""Metadata records of a file; `CONTINUES` only if the stream continues in another part."""
 
 Ended = Literal["learned", "exhausted", "interval", "uniform", "progress", "budget", "terminated", "cut"]
-"""Why a segment ended. The first five are the curriculum's; `budget`: the steps were spent; `terminated`: the end of a
-task's episode; `cut`: what followed was lost, and the log was repaired."""
+"""Why a segment ended. The first five are decisions of the curriculum. `budget`: no steps were left. `terminated`: a
+task's episode terminated. `cut`: the following steps were lost, and the log was repaired."""
 Reason = Literal["start", Ended]
 
 
 class LogError(ArtefactError):
-    """A log is cut off, damaged, or not one of ours."""
+    """A log is cut off, damaged, or not a log of gym-open."""
 
 
 class UnfinishedError(LogError):
-    """A log whose bytes are all right, but whose writer did not come to its last switch."""
+    """A log without damage that lacks its last switch, because its writer did not finish."""
 
 
 def log_name(stream: int, part: int) -> str:
-    """Name of the file with part `part` of a stream's log, both counted from 0."""
+    """Name of the file that holds part `part` of a stream's log; both numbers start at 0."""
     return f"stream-{stream:03d}-{part:03d}.mcap"
 
 
 def parse_log_name(name: str) -> tuple[int, int] | None:
-    """Stream and part of the file called `name`; None if `log_name` gives no such name."""
+    """Stream and part of a file name; None if `log_name` gives no such name."""
     match = _NAME.fullmatch(name)
     found = (int(match[1]), int(match[2])) if match else None
     return found if found and log_name(*found) == name else None
 
 
 class LogHead(msgspec.Struct, frozen=True):
-    """What a log says about itself: with it the log alone suffices to replay what it holds."""
+    """What a log says about itself. With it, the log can be replayed without any other file."""
 
     stream: int
     config: dict[str, Any]
     puzzles: tuple[Puzzle, ...]
-    """The pool; worlds are named by their place in it."""
+    """The pool; the number of a world is its index here."""
     provenance: dict[str, str]
     """Code version, package versions, seed."""
     model_xml: str
@@ -78,30 +78,30 @@ class LogHead(msgspec.Struct, frozen=True):
 
 
 class SegmentStart(msgspec.Struct, frozen=True, eq=False):
-    """A keyframe: a stream enters a world, or has taken so many steps in it that the state is written again."""
+    """A keyframe: a stream enters a world, or a number of steps has passed and the state is written again."""
 
     index: int
     """Number of the segment within its stream."""
     first_step: int
-    """The stream's step number of the segment's first action."""
+    """Number of the segment's first action within the stream."""
     world: int
     """Index of the world in the pool."""
     puzzle: Puzzle
     continued: bool
-    """Whether the world had been left before the segment and went on from there."""
+    """Whether the segment continues a world that an earlier segment left."""
     object_names: tuple[str, ...]
     object_state: np.ndarray
     """State of every object of the model, shape (objects, 13), float64."""
     integration_state: np.ndarray
-    """State from which the simulation goes on bit for bit, shape (S,), float64."""
+    """State from which the simulation continues to the bit, shape (S,), float64."""
     image: np.ndarray
     """Observation at that moment, shape (84, 84, 3), uint8 RGB."""
     segment_step: int = 0
     """Steps taken in the segment so far; 0 where the world is entered."""
     depth: np.ndarray | None = None
-    """Shape (84, 84), float32: metres along the viewing direction, infinite where there is nothing; if recorded."""
+    """Shape (84, 84), float32: metres along the viewing direction, infinite where nothing is; None if not recorded."""
     segmentation: np.ndarray | None = None
-    """Shape (84, 84), int32: geom that each pixel shows, −1 for none; if recorded."""
+    """Shape (84, 84), int32: the geom that each pixel shows, −1 for none; None if not recorded."""
 
 
 class StepMetrics(msgspec.Struct, frozen=True):
@@ -147,16 +147,16 @@ class Switch(msgspec.Struct, frozen=True):
     """Pool index, −1 at the end."""
     reason: Reason
     world_losses: list[float]
-    """World-model loss of every world of the pool as it decided: infinite where none was visited yet, NaN without a
-    model."""
+    """World-model loss of every world of the pool at the decision: infinite for a world that was not visited yet, NaN
+    without a world model."""
 
 
 Record = SegmentStart | StepRecord | Switch | Stuck
-"""What is written to a log, in the order in which it happens."""
+"""What a log holds, in the order in which it happened."""
 
 
 class Keyframe(msgspec.Struct, frozen=True, eq=False):
-    """A moment of a segment from which the simulation can be taken up again."""
+    """A moment of a segment from which the simulation can continue."""
 
     segment_step: int
     """Steps of the segment before it."""
@@ -165,7 +165,7 @@ class Keyframe(msgspec.Struct, frozen=True, eq=False):
 
 
 class Segment(msgspec.Struct, frozen=True, eq=False):
-    """Uninterrupted steps in one world, T actions and T + 1 observations: a whole segment, or a piece of one."""
+    """Uninterrupted steps in one world: T actions and T + 1 observations of a segment, or of a piece of a segment."""
 
     stream: int
     index: int
@@ -173,35 +173,35 @@ class Segment(msgspec.Struct, frozen=True, eq=False):
     puzzle: Puzzle
     continued: bool
     first_step: int
-    """The stream's step number of the first action here."""
+    """Number of the first action within the stream."""
     segment_step: int
-    """Steps of the segment before the first action here; 0 for a whole segment."""
+    """Number of the first action within the segment; 0 for a whole segment."""
     object_names: tuple[str, ...]
     integration_state: np.ndarray | None
     """(S,) float64, before the first action; None if this piece begins between two keyframes."""
     keyframes: list[Keyframe]
-    """Those within; the first is at `segment_step` if there is an `integration_state`."""
+    """Keyframes in this piece; the first is at `segment_step` if `integration_state` is not None."""
     images: np.ndarray
     """(T + 1, 84, 84, 3) uint8 RGB."""
     depth: np.ndarray | None
-    """(T + 1, 84, 84) float32 metres, if recorded."""
+    """(T + 1, 84, 84) float32 metres; None if not recorded."""
     segmentation: np.ndarray | None
-    """(T + 1, 84, 84) int32 geom ids, if recorded."""
+    """(T + 1, 84, 84) int32 geom ids; None if not recorded."""
     actions: np.ndarray
     """(T,) int64."""
     object_state: np.ndarray
     """(T + 1, objects, 13) float64."""
     contacts: list[tuple[Contact, ...]]
-    """T of them."""
+    """One tuple per action."""
     intrinsic_reward: np.ndarray
-    """(T,) float64, like the three that follow, and every part."""
+    """(T,) float64, like the next three fields and every reward part."""
     world_model_loss: np.ndarray
     policy_entropy: np.ndarray
     value: np.ndarray
     reward_parts: dict[str, np.ndarray]
-    """What the intrinsic reward is made of, by name."""
+    """The parts of the intrinsic reward, by name."""
     ended: Ended | None
-    """None if the segment goes on in the next piece."""
+    """None if the segment continues in the next piece."""
 
     def __post_init__(self) -> None:
         """Raises ValueError if the arrays do not have the lengths that belong together."""
@@ -300,4 +300,4 @@ DEFINITIONS: dict[str, tuple[str, str]] = {
     METRICS: ("sensor_msgs/msg/JointState", _JOINT_STATE + _HEADER),
     EVENTS: ("std_msgs/msg/String", "string data\n"),
 }
-"""Message type and ROS 2 definition of each topic. The standard types are there for viewers, ours are the record."""
+"""Message type and ROS 2 definition of each topic. Our types hold the record; the standard types are for viewers."""

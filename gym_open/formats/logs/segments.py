@@ -1,4 +1,4 @@
-"""Messages of a stream, put together to records, and records to segments of any length that a reader asks for."""
+"""Assembly of messages into records, and of records into segments or pieces of them."""
 
 from collections.abc import Collection, Iterable, Iterator
 
@@ -7,7 +7,7 @@ import numpy as np
 from gym_open.envs.constants import N_ACTIONS
 from gym_open.envs.puzzles import Puzzle
 from gym_open.formats.logs import schemas
-from gym_open.formats.logs.container import Logged
+from gym_open.formats.logs.container import LogMessage
 from gym_open.formats.logs.messages import (
     PIXELS,
     decode_image,
@@ -19,16 +19,16 @@ from gym_open.formats.logs.messages import (
 from gym_open.formats.logs.schemas import Ended, Keyframe, Record, Segment, SegmentStart, StepRecord, Switch
 
 HEADS = {schemas.SEGMENT, schemas.STEP, schemas.SWITCH, schemas.STUCK}
-"""Topics of the messages that a record begins with."""
+"""Topics of the messages that begin a record."""
 
 
-def groups(messages: Iterable[Logged]) -> Iterator[list[Logged]]:
-    """The messages that make up one record each: the record's own first, then its pictures and what repeats it.
+def groups(messages: Iterable[LogMessage]) -> Iterator[list[LogMessage]]:
+    """Group messages by record: first the record's own message, then its images, metrics or event.
 
     Raises:
-        ValueError: if the first message belongs to no record.
+        ValueError: if the first message does not begin a record.
     """
-    group: list[Logged] = []
+    group: list[LogMessage] = []
     for message in messages:
         if message.topic in HEADS:
             if group:
@@ -42,24 +42,24 @@ def groups(messages: Iterable[Logged]) -> Iterator[list[Logged]]:
         yield group
 
 
-def is_complete(group: list[Logged], pictures: Collection[str]) -> bool:
-    """Whether nothing is missing of a record's messages: of the last one before a damage, something may be.
+def is_complete(group: list[LogMessage], images: Collection[str]) -> bool:
+    """Whether all messages of a record are there; the last record before a damage may lack some.
 
     Args:
-        group: as `groups` has them.
-        pictures: topics of the pictures that the log has.
+        group: from `groups`.
+        images: topics of the images that the log records.
     """
     needed = {
-        schemas.SEGMENT: {*pictures},
-        schemas.STEP: {*pictures, schemas.METRICS},
+        schemas.SEGMENT: {*images},
+        schemas.STEP: {*images, schemas.METRICS},
         schemas.SWITCH: {schemas.EVENTS},
         schemas.STUCK: {schemas.EVENTS},
     }
     return needed[group[0].topic] <= {message.topic for message in group}
 
 
-def decode_record(group: list[Logged], pool: tuple[Puzzle, ...]) -> Record:
-    """The record that a group of messages makes up; puzzles are looked up in the `pool`.
+def decode_record(group: list[LogMessage], pool: tuple[Puzzle, ...]) -> Record:
+    """Decode the record of a group of messages; puzzles are looked up in `pool`.
 
     Raises:
         ValueError: if a message is missing or not of its type.
@@ -69,46 +69,44 @@ def decode_record(group: list[Logged], pool: tuple[Puzzle, ...]) -> Record:
         return decode_switch(data)
     if topic == schemas.STUCK:
         return decode_stuck(data)
-    pictures = {
-        message.topic: decode_image(message.topic, message.data) for message in group if message.topic in PIXELS
-    }
-    if schemas.IMAGE not in pictures:
+    images = {message.topic: decode_image(message.topic, message.data) for message in group if message.topic in PIXELS}
+    if schemas.IMAGE not in images:
         raise ValueError(f"{topic} at {group[0].time} ns is not followed by {schemas.IMAGE}")
-    image, depth, segmentation = (pictures.get(name) for name in (schemas.IMAGE, schemas.DEPTH, schemas.SEGMENTATION))
+    image, depth, segmentation = (images.get(name) for name in (schemas.IMAGE, schemas.DEPTH, schemas.SEGMENTATION))
     assert image is not None
     if topic == schemas.STEP:
         return decode_step(data, image, depth, segmentation)
     return decode_segment(data, pool, image, depth, segmentation)
 
 
-class _Piece:
-    """Steps of a segment as they come in, from an observation on."""
+class _SegmentPiece:
+    """Collects the steps of a segment from one observation on."""
 
     def __init__(self, start: SegmentStart, before: SegmentStart | StepRecord, segment_step: int) -> None:
         self.start = start
-        """The last keyframe: what is the same in all of the segment."""
+        """The last keyframe; it holds what is the same in the whole segment."""
         self.before = before
-        """Holds the observation that comes before the first action."""
+        """The record with the observation before the first action."""
         self.segment_step = segment_step
         self.keyframes: list[Keyframe] = []
         self.steps: list[StepRecord] = []
 
     @property
     def last(self) -> SegmentStart | StepRecord:
-        """What holds the last observation so far."""
+        """The record with the last observation so far."""
         return self.steps[-1] if self.steps else self.before
 
     @property
     def next_step(self) -> int:
-        """Number within the segment of the action that comes next."""
+        """Number of the next action within the segment."""
         return self.segment_step + len(self.steps)
 
-    def rest(self) -> "_Piece":
-        """What comes after it."""
-        return _Piece(self.start, self.last, self.next_step)
+    def rest(self) -> "_SegmentPiece":
+        """A new piece that continues this one."""
+        return _SegmentPiece(self.start, self.last, self.next_step)
 
     def add_keyframe(self, frame: SegmentStart) -> None:
-        """Take in a keyframe at the present moment. Raises ValueError if it is one of another."""
+        """Add a keyframe at the present moment. Raises ValueError if it belongs to another moment."""
         known, now = self.start, self.last
         same = (known.index, known.first_step, known.world, known.continued, known.object_names, self.next_step)
         if (
@@ -129,7 +127,7 @@ class _Piece:
         self.keyframes.append(Keyframe(frame.segment_step, frame.integration_state))
 
     def add(self, step: StepRecord, parts: int) -> None:
-        """Take in the next step. Raises ValueError if it is another."""
+        """Add the next step. Raises ValueError if the step is not the next one."""
         expected = (self.start.index, self.next_step, self.start.first_step + self.next_step)
         if (step.segment, step.segment_step, step.step) != expected:
             raise ValueError(
@@ -143,7 +141,7 @@ class _Piece:
         self.steps.append(step)
 
     def lay_out(self, stream: int, parts: tuple[str, ...], ended: Ended | None) -> Segment:
-        """Its records as arrays."""
+        """Return the records as arrays."""
         start, steps, shown = self.start, self.steps, [self.before, *self.steps]
         begins = bool(self.keyframes) and self.keyframes[0].segment_step == self.segment_step
         rewards = np.array([step.metrics.reward_parts for step in steps], np.float64).reshape(len(steps), len(parts))
@@ -181,10 +179,10 @@ def _shown(record: SegmentStart | StepRecord, name: str) -> np.ndarray:
     return np.empty(0) if value is None else value
 
 
-def _optional(pictures: list[np.ndarray | None], name: str) -> np.ndarray | None:
-    there = [picture for picture in pictures if picture is not None]
-    if there and len(there) < len(pictures):
-        raise ValueError(f"{len(pictures) - len(there)} of {len(pictures)} observations of a segment have no {name}")
+def _optional(images: list[np.ndarray | None], name: str) -> np.ndarray | None:
+    there = [image for image in images if image is not None]
+    if there and len(there) < len(images):
+        raise ValueError(f"{len(images) - len(there)} of {len(images)} observations of a segment have no {name}")
     return np.stack(there) if there else None
 
 
@@ -195,20 +193,20 @@ def _column(steps: list[StepRecord], name: str) -> np.ndarray:
 def segments(
     records: Iterable[Record], stream: int, parts: tuple[str, ...], max_steps: int | None, *, open_end: bool
 ) -> Iterator[Segment]:
-    """The segments that the records make up, in order; what is yielded is let go.
+    """Assemble records into segments, in order; a yielded segment is not kept.
 
     Args:
-        records: in the order of play. The first keyframe may stand anywhere in a segment.
+        records: in the order in which they were recorded. The first keyframe may stand anywhere in a segment.
         stream: number of the stream.
         parts: names of the parts of the reward.
-        max_steps: longer segments come in pieces of this many steps; the observation at a cut is in both.
-        open_end: whether the records may stop before the segment ends, as in a file that goes on in another.
+        max_steps: segments with more steps are cut into pieces of this many; the observation at a cut is in both.
+        open_end: whether the records may stop within a segment, as in a file that another part continues.
 
     Raises:
         ValueError: if a record is missing or out of place.
     """
-    piece: _Piece | None = None
-    expected: tuple[int, int, int] | None = None  # segment, first step and world that come next
+    piece: _SegmentPiece | None = None
+    expected: tuple[int, int, int] | None = None  # number, first step and world of the next segment
     for record in records:
         if piece is not None and len(piece.steps) == max_steps and isinstance(record, SegmentStart | StepRecord):
             yield piece.lay_out(stream, parts, None)
@@ -229,26 +227,26 @@ def segments(
         yield piece.lay_out(stream, parts, None)
 
 
-def _within(piece: _Piece | None, step: StepRecord) -> _Piece:
+def _within(piece: _SegmentPiece | None, step: StepRecord) -> _SegmentPiece:
     if piece is None:
         raise ValueError(f"step {step.step} stands in no segment")
     return piece
 
 
-def _entered(start: SegmentStart, expected: tuple[int, int, int] | None) -> _Piece:
-    """The first piece of a segment, or of a file that begins within one."""
+def _entered(start: SegmentStart, expected: tuple[int, int, int] | None) -> _SegmentPiece:
+    """The first piece of a segment, or of a file that begins within a segment."""
     if expected is not None and (start.index, start.first_step, start.world, start.segment_step) != (*expected, 0):
         raise ValueError(
             f"segment {start.index} in world {start.world} begins at step {start.first_step}, where segment "
-            f"{expected[0]} in world {expected[2]} was to begin at step {expected[1]}"
+            f"{expected[0]} in world {expected[2]} should begin at step {expected[1]}"
         )
-    return _Piece(start, start, start.segment_step)
+    return _SegmentPiece(start, start, start.segment_step)
 
 
 def _next_segment(
-    switch: Switch, piece: _Piece | None, expected: tuple[int, int, int] | None
+    switch: Switch, piece: _SegmentPiece | None, expected: tuple[int, int, int] | None
 ) -> tuple[int, int, int] | None:
-    """Number, first step and world of the segment that a switch leads to. Raises ValueError if it stands elsewhere."""
+    """Number, first step and world of the segment after a switch. Raises ValueError if the switch is misplaced."""
     if piece is None:
         if switch.reason != "start" or expected is not None:
             raise ValueError(f"the switch at step {switch.step} ({switch.reason}) ends no segment")
@@ -256,7 +254,7 @@ def _next_segment(
     start, step = piece.start, piece.start.first_step + piece.next_step
     if (switch.step, switch.from_world) != (step, start.world) or switch.reason == "start":
         raise ValueError(
-            f"segment {start.index} in world {start.world} ends at step {switch.step}, left world {switch.from_world} "
-            f"({switch.reason}), but {piece.next_step} steps from step {start.first_step} on are there"
+            f"the switch at step {switch.step} leaves world {switch.from_world} ({switch.reason}), but segment "
+            f"{start.index} in world {start.world} has {piece.next_step} steps from step {start.first_step} on"
         )
     return start.index + 1, step, switch.to_world

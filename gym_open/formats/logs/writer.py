@@ -1,7 +1,7 @@
-"""Writing a log: the files of one stream, whose bytes depend on what is logged and on nothing else.
+"""Writer of the log of one stream; its bytes depend only on the records.
 
-Whoever plays hands over records and goes on; one thread a writer turns them into messages and writes those. It gets
-them in batches: between two threads of Python, handing over is what costs.
+The caller enqueues records and continues; each writer has one thread that encodes and writes them. Records are enqueued
+in batches, because passing an object between two Python threads is the main cost.
 """
 
 from pathlib import Path
@@ -14,54 +14,54 @@ from gym_open.formats.logs.parts import LogParts
 from gym_open.formats.logs.schemas import LogHead, Record, SegmentStart, StepRecord, Stuck, Switch
 
 ROLL_BYTES = 256 * 2**20
-"""A file is followed by another when it has this many bytes, or somewhat more: at the next keyframe."""
+"""At the first keyframe after a file has this many bytes, the next file begins."""
 BATCH = 256
-"""Records that are handed over at once; of 84×84 pictures some 6 MB."""
+"""Records per batch; with 84×84 images, about 6 MB."""
 QUEUE = 3
-"""Batches that may wait. Then whoever plays waits, too."""
+"""Batches that may wait in the queue; if it is full, the caller waits."""
 
 
-class _Batch(NamedTuple):
+class _RecordBatch(NamedTuple):
     records: list[Record]
     flush: bool = False
     sync: bool = False
 
 
 class LogWriter:
-    """Writes one stream's log in `folder`; use as a context, or call `close`.
+    """Writes the log of one stream in `folder`; use it as a context manager, or call `close`.
 
-    A segment is a `segment`, then a `step` for each action, with a further `segment` before every `keyframe_every`-th;
-    a `switch` goes before the first segment and after every one. Records are written later, by another thread: the
-    arrays in them must not be changed any more. What was logged before a `sync` outlives this process and a power cut.
+    For each segment, call `segment`, then `step` for each action, with another `segment` before every
+    `keyframe_every`-th step. Call `switch` before the first segment and after every segment. Another thread writes the
+    records later, so their arrays must not be changed. Records logged before a `sync` survive a kill and a power cut.
 
     Raises:
-        LogError: from any method, if the disk is full or what is logged is not what had been logged before a kill.
-        ValueError: if a step has another number of reward parts than the head, or an earlier picture another shape.
+        LogError: from any method, if the disk is full, or a record differs from the one logged before a kill.
+        ValueError: if a step has another number of reward parts than the head, or an earlier image another shape.
     """
 
     def __init__(
         self, folder: Path, head: LogHead, *, roll_bytes: int = ROLL_BYTES, begun: LogParts | None = None
     ) -> None:
-        """With `begun`, go on with files that were begun before: see `resume`."""
+        """With `begun`, continue files of an earlier writer: see `resume`."""
         self._files = begun or LogParts(folder, head, roll_bytes)
         self._reward_parts = head.reward_parts
         self._records: list[Record] = []
         self._error: BaseException | None = None
-        self._queue: Queue[_Batch | None] = Queue(QUEUE)
+        self._queue: Queue[_RecordBatch | None] = Queue(QUEUE)
         self._thread = Thread(target=self._work, name=f"log of stream {head.stream}", daemon=True)
         self._thread.start()
 
     @property
     def messages(self) -> int:
-        """Messages in the files; right after a `sync`."""
+        """Number of messages in the files; correct right after a `sync`."""
         return self._files.messages
 
     def segment(self, start: SegmentStart) -> None:
-        """Log that a world is entered, or a keyframe within a segment, with the observation of that moment."""
+        """Log that the stream enters a world, or a keyframe within a segment, with the observation of that moment."""
         self._put(start)
 
     def step(self, record: StepRecord) -> None:
-        """Log an action at its beginning and the observation at its end."""
+        """Log an action at the time of its beginning and the observation at the time of its end."""
         found, expected = len(record.metrics.reward_parts), len(self._reward_parts)
         if found != expected:
             names = ", ".join(self._reward_parts)
@@ -69,25 +69,25 @@ class LogWriter:
         self._put(record)
 
     def switch(self, switch: Switch) -> None:
-        """Log a decision of the curriculum, for programs and in words."""
+        """Log a decision of the curriculum, as a record and as text."""
         self._put(switch)
 
     def stuck(self, stuck: Stuck) -> None:
-        """Log that something cannot move any more, or can again, for programs and in words."""
+        """Log that an object can no longer move or can move again, as a record and as text."""
         self._put(stuck)
 
     def flush(self) -> None:
-        """End the chunk: once that is written, all before is safe from a kill of this process. Does not wait for it."""
+        """End the chunk, without waiting: once it is written, all records so far survive a kill of this process."""
         self._hand_over(flush=True)
 
     def sync(self) -> None:
-        """Wait until all is on the disk itself: safe from a power cut too."""
+        """Wait until all records are on the disk: they survive a power cut."""
         self._hand_over(flush=True, sync=True)
         self._queue.join()
         self._check()
 
     def close(self) -> None:
-        """Wait for the rest and write the index; the log is whole after this. Closed again, nothing happens."""
+        """Wait for all records and write the index, which completes the log. A second call does nothing."""
         if not self._thread.is_alive():
             return
         try:
@@ -98,7 +98,7 @@ class LogWriter:
             self.abandon()
 
     def abandon(self) -> None:
-        """Stop without an index: a reader must see that the log is not whole."""
+        """Stop without an index, so that readers see that the log is incomplete."""
         self._stop()
         self._files.abandon()
 
@@ -110,7 +110,7 @@ class LogWriter:
 
     def _hand_over(self, *, flush: bool = False, sync: bool = False) -> None:
         self._check()
-        self._queue.put(_Batch(self._records, flush, sync))
+        self._queue.put(_RecordBatch(self._records, flush, sync))
         self._records = []
 
     def _check(self) -> None:
@@ -118,16 +118,16 @@ class LogWriter:
             raise self._error
 
     def _work(self) -> None:
-        """The thread: write batch after batch; after an error, let the rest go, so that nobody waits for ever."""
+        """Run the thread: write batch after batch; after an error, drop the rest, so that nobody waits for ever."""
         while (batch := self._queue.get()) is not None:
             try:
                 if self._error is None:
                     self._write(batch)
-            except BaseException as error:  # whoever plays raises it
+            except BaseException as error:  # the caller's thread raises it
                 self._error = error
             self._queue.task_done()
 
-    def _write(self, batch: _Batch) -> None:
+    def _write(self, batch: _RecordBatch) -> None:
         for record in batch.records:
             self._files.add(record)
         if batch.flush:

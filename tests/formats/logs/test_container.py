@@ -19,7 +19,7 @@ from mcap.writer import CompressionType, Writer
 from gym_open.cli import main
 from gym_open.formats.logs import container as log_container
 from gym_open.formats.logs import schemas as log_schemas
-from gym_open.formats.logs.container import Logged, read_contents, whole_chunks
+from gym_open.formats.logs.container import LogMessage, read_contents, whole_chunks
 from gym_open.formats.logs.reader import open_log
 from gym_open.formats.logs.schemas import LogError
 
@@ -39,7 +39,7 @@ def rewritten(
     head: Mapping[str, str] | None = None,
     metadata: Mapping[str, dict[str, str]] | None = None,
     definitions: Mapping[str, tuple[str, str] | None] | None = None,
-    messages: Iterable[Logged] | None = None,
+    messages: Iterable[LogMessage] | None = None,
     twice: str = "",
 ) -> Path:
     """The log written anew by the MCAP package, all CRCs right, with something in it changed."""
@@ -268,13 +268,13 @@ def test_an_index_that_hides_steps_is_found_out(whole: Path, tmp_path: Path) -> 
     struct.pack_into("<I", raw, offset + 9, zlib.crc32(raw[:offset]))
     path = tmp_path / "x.mcap"
     path.write_bytes(raw)
-    with pytest.raises(LogError, match="it holds 9 steps, its index tells of 0"):
+    with pytest.raises(LogError, match="it holds 9 steps, its index says 0"):
         list(open_log(path).segments())
 
 
 def test_a_bomb_is_refused_before_it_unpacks(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A small log with 120 MB of zeros is refused by the sizes that its chunks declare."""
-    zeros = [Logged(log_schemas.EVENTS, 0, bytes(2**20))] * 120
+    zeros = [LogMessage(log_schemas.EVENTS, 0, bytes(2**20))] * 120
     path = rewritten(whole, tmp_path / "bomb.mcap", messages=zeros)
     assert path.stat().st_size < 40_000
     monkeypatch.setattr(zstandard, "decompress", lambda *_: pytest.fail("unpacked"))
@@ -304,7 +304,7 @@ def test_attachments_beyond_the_limit_are_refused(whole: Path, tmp_path: Path, m
 def test_a_chunk_that_lies_about_its_size_is_refused(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The packed frame's own size is held to the chunk's, so a frame cannot unpack to more than was allowed for."""
     monkeypatch.setattr(zstandard, "frame_content_size", lambda _: 10**12)
-    with pytest.raises(LogError, match=r"a chunk is not packed as it says"):
+    with pytest.raises(LogError, match=r"a chunk is not packed as its header says"):
         open_log(whole)
 
 
@@ -348,7 +348,7 @@ def test_messages_outside_of_chunks_are_refused(tmp_path: Path) -> None:
         writer.start("ros2")
         writer.add_message(writer.register_channel("/step", "cdr", 0), 0, b"x", 0)
         writer.finish()
-    with pytest.raises(log_container.Damage, match="a message outside of the chunks"):
+    with pytest.raises(log_container.Damage, match="a message outside the chunks"):
         read_contents(path)
 
 

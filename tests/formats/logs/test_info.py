@@ -134,7 +134,7 @@ def test_the_commands_say_what_to_do_next(whole: Path, tmp_path: Path, capsys: p
     assert main(["log", "replay", str(path)]) == 1
     assert "damaged at byte" in capsys.readouterr().err
     assert main(["log", "repair", str(path)]) == 1
-    assert "is there already" in capsys.readouterr().err
+    assert "exists already" in capsys.readouterr().err
 
 
 HOSTILE = "[/nope]\x1b]0;gone\x07:x:\u202e"

@@ -144,7 +144,7 @@ def test_a_loss_that_is_no_number_comes_back() -> None:
 
 @pytest.mark.parametrize("picture", [np.zeros((4, 4, 3), np.uint8), np.zeros((84, 84, 3))])
 def test_a_picture_of_another_size_or_type_is_not_written(picture: np.ndarray) -> None:
-    with pytest.raises(ValueError, match=r"/observation/image: expected a picture of uint8 \(84, 84, 3\), got .*\d\)$"):
+    with pytest.raises(ValueError, match=r"/observation/image: expected an image of uint8 \(84, 84, 3\), got .*\d\)$"):
         messages.encode_image(schemas.IMAGE, picture, 0)
 
 

@@ -172,7 +172,7 @@ def test_what_comes_before_a_missing_part_is_read(made_up: Any, tmp_path: Path) 
     found = by_step(before.segments())
     assert found == {step: every[step] for step in range(before.n_steps)}
     last = open_whole_part(parts[:2])
-    assert last.damage == f"{parts[2].name}, in which it goes on, is missing"
+    assert last.damage == f"{parts[2].name}, in which it continues, is missing"
     assert open_whole_part([parts[2]]).damage is None  # one part alone is looked at as such
 
 
@@ -185,14 +185,14 @@ def test_a_part_of_another_run_is_not_read(made_up: Any, tmp_path: Path) -> None
     first, *_ = made_up.write(tmp_path / "own", made_up.records(steps=3), roll_bytes=1)
     _, *others = stranger.write(tmp_path / "other", made_up.records(steps=3), roll_bytes=1)
     log = open_whole_part([first, *others])
-    assert log.damage == f"what follows is missing: {others[0].name} is part 1, of this or another run"
+    assert log.damage == f"the next part is missing: {others[0].name} is part 1, of this or another run"
     assert by_step(log.segments()) == by_step(open_log(first).segments())
 
 
 def test_a_log_without_its_end_says_so(made_up: Any, tmp_path: Path) -> None:
     parts = made_up.write(tmp_path, made_up.records(steps=3)[:-1])
     log = open_whole_part(parts)
-    assert log.damage == "it has no last switch: its writer was not finished"
+    assert log.damage == "it has no last switch: its writer did not finish"
     assert len(by_step(log.segments())) == log.n_steps == 27
 
 

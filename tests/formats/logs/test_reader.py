@@ -198,7 +198,7 @@ def test_a_missing_part_is_named(copied: list[Path], tmp_path: Path, missing: in
 
 def test_a_missing_last_part_is_named(copied: list[Path], tmp_path: Path) -> None:
     copied[-1].unlink()
-    with pytest.raises(LogError, match=rf"the stream goes on in {copied[-1].name}, which is missing"):
+    with pytest.raises(LogError, match=rf"the stream continues in {copied[-1].name}, which is missing"):
         open_logs(tmp_path)
 
 
@@ -270,15 +270,18 @@ def flawed(made: list[Record], flaw: Flaw) -> list[Record]:
 @pytest.mark.parametrize(
     ("flaw", "message"),
     [
-        ((Switch, -1, None), "it has no last switch: its writer was not finished"),
+        ((Switch, -1, None), "it has no last switch: its writer did not finish"),
         ((Switch, 1, None), "a keyframe of segment 1, step 0, stands in segment 0 before step 4"),
-        ((Switch, 1, {"step": 3}), r"segment 0 in world 1 ends at step 3, left world 1 \(learned\), but 4 steps"),
-        ((Switch, 1, {"from_world": 2}), "segment 0 in world 1 ends at step 4, left world 2"),
+        (
+            (Switch, 1, {"step": 3}),
+            r"the switch at step 3 leaves world 1 \(learned\), but segment 0 in world 1 has 4 steps",
+        ),
+        ((Switch, 1, {"from_world": 2}), "the switch at step 4 leaves world 2"),
         (
             (Switch, 1, {"to_world": 2}),
-            "segment 1 in world 0 begins at step 4, where segment 1 in world 2 was to begin",
+            "segment 1 in world 0 begins at step 4, where segment 1 in world 2 should begin",
         ),
-        ((Switch, 1, {"reason": "start"}), r"ends at step 4, left world 1 \(start\)"),
+        ((Switch, 1, {"reason": "start"}), r"the switch at step 4 leaves world 1 \(start\)"),
         ((SegmentStart, 0, None), "step 0 stands in no segment"),
         ((SegmentStart, 1, {"segment_step": 1}), "a keyframe of segment 0, step 1, stands in segment 0 before step 2"),
         ((SegmentStart, 1, {"object_state": np.zeros((3, 13))}), "the keyframe before step 2 is not the state there"),

@@ -23,7 +23,7 @@ from gym_open.formats.logs.container import read_contents
 from gym_open.formats.logs.messages import messages_of
 from gym_open.formats.logs.parts import LogParts
 from gym_open.formats.logs.reader import open_log
-from gym_open.formats.logs.repair import Repair, repair
+from gym_open.formats.logs.repair import RepairedLog, repair
 from gym_open.formats.logs.schemas import IMAGE, METRICS, SEGMENTATION, STEP, LogError, Segment, StepRecord, Switch
 
 FIXTURES = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
@@ -196,14 +196,14 @@ def test_a_world_that_was_entered_without_a_trace_was_not_entered(made_up: Any, 
 
 def test_a_whole_log_is_left_alone(whole: Path) -> None:
     before = set(whole.parent.iterdir())
-    assert repair(whole) == Repair(saved=None)
+    assert repair(whole) == RepairedLog(saved=None)
     assert set(whole.parent.iterdir()) == before
 
 
 def test_nothing_is_overwritten(whole: Path, tmp_path: Path) -> None:
     path = damaged(tmp_path, whole.read_bytes()[:-30])
     (tmp_path / "stream-002-000-repaired.mcap").write_text("mine")
-    with pytest.raises(LogError, match="is there already and is not overwritten"):
+    with pytest.raises(LogError, match="exists already and is not overwritten"):
         repair(path)
     assert (tmp_path / "stream-002-000-repaired.mcap").read_text() == "mine"
 

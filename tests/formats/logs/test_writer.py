@@ -17,7 +17,7 @@ from gym_open.formats.logs import mcap as log_mcap
 from gym_open.formats.logs import parts as log_parts
 from gym_open.formats.logs import schemas as log_schemas
 from gym_open.formats.logs import writer as log_writer
-from gym_open.formats.logs.container import Logged, read_contents, whole_chunks
+from gym_open.formats.logs.container import LogMessage, read_contents, whole_chunks
 from gym_open.formats.logs.messages import messages_of
 from gym_open.formats.logs.resume import resume_writer
 from gym_open.formats.logs.schemas import LogError, Record, SegmentStart, StepMetrics, StepRecord
@@ -25,11 +25,11 @@ from gym_open.formats.logs.writer import LogWriter
 from tests.children import until
 
 
-def read(paths: list[Path]) -> list[Logged]:
+def read(paths: list[Path]) -> list[LogMessage]:
     return [message for path in paths for chunk in whole_chunks(path) for message in chunk]
 
 
-def expected(made_up: Any, records: list[Record]) -> list[Logged]:
+def expected(made_up: Any, records: list[Record]) -> list[LogMessage]:
     return [message for record in records for message in messages_of(record, made_up.head.reward_parts)]
 
 
@@ -132,10 +132,10 @@ def test_an_error_of_the_thread_reaches_the_player_as_it_is(made_up: Any, tmp_pa
     writer = LogWriter(tmp_path, made_up.head)
     for record in (*records[:2], bad):
         made_up.put(writer, record)
-    with pytest.raises(ValueError, match=r"expected a picture of uint8 \(84, 84, 3\), got uint8 \(4, 4, 3\)") as caught:
+    with pytest.raises(ValueError, match=r"expected an image of uint8 \(84, 84, 3\), got uint8 \(4, 4, 3\)") as caught:
         writer.sync()
     for call in (lambda: made_up.put(writer, records[3]), writer.flush, writer.close):
-        with pytest.raises(ValueError, match="expected a picture") as again:
+        with pytest.raises(ValueError, match="expected an image") as again:
             call()
         assert again.value is caught.value
     assert not writer._thread.is_alive()
