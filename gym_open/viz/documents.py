@@ -5,10 +5,11 @@ Text from files is shown as it is: Markdown finds no markup in it.
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from gym_open.artefacts import Lineage
+from gym_open.markdown import cell, table
 from gym_open.terminal import printable
 
 _MOST_RAW = 20_000
@@ -17,22 +18,6 @@ _MOST_ROWS = 500
 """Settings that are shown in the table: ten times as many as a stage has."""
 _SHORT = 12
 """Characters of a digest that are shown in a table."""
-
-
-_SPECIAL = re.compile(r"([\\`*_{}\[\]<>#|~!&])")
-
-
-def cell(text: object, longest: int = 120) -> str:
-    """Text on one line in which Markdown finds nothing of its own, not endless."""
-    shown = printable(str(text)).replace("\n", " ")
-    shown = shown if len(shown) <= longest else f"{shown[:longest]}…"
-    return _SPECIAL.sub(r"\\\1", shown)
-
-
-def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of a table whose first column is left, the others right; cells are Markdown already."""
-    lines = [f"| {' | '.join(head)} |", f"|---|{'---:|' * (len(head) - 1)}"]
-    return lines + [f"| {' | '.join(row)} |" for row in rows]
 
 
 def settings(title: str, facts: Mapping[str, object], config: Mapping[str, Any]) -> str:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
+from gym_open.markdown import cell
 from gym_open.results.names import is_trained
 from gym_open.results.records import IntervalCurve
 from gym_open.results.rows import RowSummary
@@ -13,7 +14,6 @@ from gym_open.viz.config import Choice, VizConfig
 from gym_open.viz.curves import documents, drawing, figure, jobs, layout
 from gym_open.viz.curves.layout import Span
 from gym_open.viz.curves.sources import CurveSources, TrainedModel, find, summaries, summaries_of_report
-from gym_open.viz.documents import cell
 from gym_open.viz.view import View, log_document, log_figure
 
 _PROBES = 12

@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from typing import Any
 
+from gym_open.markdown import cell, table
 from gym_open.results.records import Estimate
 from gym_open.results.rows import RowSummary
 from gym_open.viz.curves.sources import CurveSources, ReportTable
-from gym_open.viz.documents import cell, table
 
 _MOST_LINES = 200
 """Lines of a report's list that are shown."""

@@ -7,8 +7,8 @@ from typing import Literal, NamedTuple
 
 from gym_open import artefacts
 from gym_open.files import read_regular
+from gym_open.markdown import cell, table
 from gym_open.progress import Progressed
-from gym_open.viz.documents import cell, table
 
 FOLDER = "jobs"
 State = Literal["done", "at work", "stopped", "not begun"]

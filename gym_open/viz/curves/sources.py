@@ -9,11 +9,11 @@ import msgspec
 
 from gym_open import artefacts, progress
 from gym_open.errors import ArtefactError
+from gym_open.markdown import cell
 from gym_open.results.names import one_line
 from gym_open.results.records import CURVE, ProbeRecord, TrainingCurve, read_curve, read_probe
 from gym_open.results.rows import Resampling, RowSummary, rows_of, summarise_row
 from gym_open.results.runs import ScoredRun, artefact_folders, distinct, read_run
-from gym_open.viz.documents import cell
 
 _REPORT = "table.json"
 _READ = frozenset({CURVE, _REPORT, artefacts.CONFIG, artefacts.LINEAGE})

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gym_open.agents.config import EncoderConfig
+from gym_open.markdown import cell, table
 from gym_open.plots import BLUE, VERMILION, draw_png, finish
-from gym_open.viz.documents import cell, table
 from gym_open.viz.features.analysis import Analysis, agent_apart, components_for, same_world
 from gym_open.viz.features.frames import Frames
 

@@ -7,8 +7,8 @@ import numpy as np
 import rerun as rr
 
 from gym_open.formats.logs import Stuck, Switch
+from gym_open.markdown import cell, table
 from gym_open.terminal import printable
-from gym_open.viz.documents import cell, table
 from gym_open.viz.play.images import Coverage
 from gym_open.viz.play.streams import CONTACTS, REWARD, Span, Stay, Stream
 from gym_open.viz.view import log_document, times

@@ -21,7 +21,7 @@ from PIL import Image
 from gym_open.envs.constants import IMAGE_SIZE
 from gym_open.envs.puzzles.sets import puzzle_by_id
 from gym_open.errors import UsageError
-from gym_open.viz.documents import cell, table
+from gym_open.markdown import cell, table
 from gym_open.viz.puzzles.colours import colour
 from gym_open.viz.puzzles.tables import HARDEST, TaskTable, commands, read_tables
 from gym_open.viz.render import draw_sheet

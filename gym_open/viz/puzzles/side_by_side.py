@@ -14,8 +14,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from gym_open.envs.tasks import step_budget
+from gym_open.markdown import cell, table
 from gym_open.viz.config import VizConfig
-from gym_open.viz.documents import cell, table
 from gym_open.viz.puzzles.agent import log_agent
 from gym_open.viz.puzzles.episodes import Episode, Puzzled
 from gym_open.viz.render import DIRECTIONS
