@@ -157,7 +157,7 @@ def photograph(program: str, shot: Shot, folder: Path) -> bytes:
     with subprocess.Popen(words, cwd=folder, stdout=subprocess.PIPE, text=True) as viewer:  # noqa: S603
         try:
             assert viewer.stdout is not None
-            said = "".join(itertools.takewhile(lambda line: "all of it is there" not in line, viewer.stdout))
+            said = "".join(itertools.takewhile(lambda line: "all data is loaded" not in line, viewer.stdout))
             address = re.search(r"http://127\.0\.0\.1:\d+", said)
             if address is None or viewer.poll() is not None:
                 raise SystemExit(f"{shot.name}: gym-open viz has not served it")

@@ -1,1 +1,1 @@
-"""Looking: any log, release or policy as a Rerun recording. The only package that imports rerun."""
+"""Show what gym-open makes: in Rerun, or as films and figures. No other package imports rerun."""

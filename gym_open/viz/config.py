@@ -1,4 +1,4 @@
-"""How much of a source a view shows: settings, and the part that a person picks."""
+"""What decides how much of a source is shown: the settings, and the part that a person selects."""
 
 import re
 import sys
@@ -13,47 +13,46 @@ from gym_open.errors import UsageError
 
 
 class VizConfig(Config, frozen=True):
-    """Anything that gym-open makes, as a Rerun recording.
+    """How much of a long log or release a Rerun recording or a film shows.
 
-    Play is thinned by one rule. Of the n steps of a stream that are to be shown, those are whose number in the stream
-    is divisible by k = ceil(n / limit), and the first of every segment. Pictures, places and series have a limit each.
-    What is counted over time (coverage) counts every step, shown or not; events, switches and losses of worlds are
-    whole.
+    One rule reduces the steps: of n selected steps of a stream, a recording shows those whose number in the stream is
+    divisible by k = ceil(n / limit), and the first step of every segment. Images, poses and series have own limits.
+    Coverage counts every step, shown or not. Events, switches and losses of worlds are always complete.
     """
 
     max_images: PositiveInt = 2_000
-    """Limit of pictures a stream, and of maps of coverage (about 1 to 3 kB each; with depth and segmentation 40 kB)."""
+    """Limit of images per stream, and of coverage maps (1 to 3 kB each; with depth and segmentation about 40 kB)."""
     max_poses: PositiveInt = 20_000
-    """Limit of steps a stream at which objects, contacts, trail and action are shown (about 1 kB each)."""
+    """Limit of steps per stream that show objects, contacts, trail and action (about 1 kB each)."""
     max_points: PositiveInt = 50_000
-    """Limit of points a stream of each series: reward, loss and all else that is drawn as a curve."""
+    """Limit of points per stream and series, such as reward or loss."""
     trail_steps: PositiveInt = 200
-    """Steps of the agent's trail on the table, in the world that it is in; steps of the stream, shown or not."""
+    """Length of the agent's trail on the table, in steps of the stream, shown or not; new in each segment."""
     film_pictures: PositiveInt = 400
-    """Limit of pictures of a film of play, at 20 a second."""
+    """Limit of frames of a film of a log or release, at 20 frames per second."""
     film_look: Literal["handsome", "observation"] = "handsome"
-    """Of films: for people, which needs OpenGL and a tenth of a second a picture, or as an agent sees it, enlarged."""
+    """Look of films: `handsome` needs OpenGL and 0.1 s per frame, `observation` is what an agent sees, enlarged."""
 
 
 class Choice(msgspec.Struct, frozen=True):
-    """Part of a source; the whole of it by default.
+    """The part of a source to show; by default all of it.
 
     Raises:
         UsageError: if a number is negative, or a range of steps is empty.
     """
 
     puzzle: str | None = None
-    """Of the evaluation, such as `tool-use/017`."""
+    """Id of an evaluation puzzle, such as `tool-use/017`."""
     episode: int | None = None
-    """Of a release."""
+    """Number of an episode of a release."""
     segment: int | None = None
-    """Of a stream, counted from 0."""
+    """Number of a segment in its stream, from 0."""
     steps: range | None = None
-    """Half-open, of a stream's steps; its end may lie beyond the last."""
+    """Half-open range of a stream's steps; it may end after the last step."""
     release: Path | None = None
-    """Whose pictures an encoder is shown."""
+    """Release from which an encoder gets its images."""
     stream: int | None = None
-    """Of a log or release."""
+    """Number of a stream of a log or release."""
 
     def __post_init__(self) -> None:
         for name in ("episode", "segment", "stream"):
@@ -65,26 +64,26 @@ class Choice(msgspec.Struct, frozen=True):
             raise UsageError(f"--steps: expected A:B with 0 <= A < B, got {start}:{stop}")
 
     def given(self) -> list[str]:
-        """Names of what was picked."""
+        """Names of the fields that are set."""
         return [name for name in self.__struct_fields__ if getattr(self, name) is not None]
 
     def refuse_others(self, what: str, known: Collection[str]) -> None:
-        """Refuse what cannot be picked of `what`.
+        """Refuse a selection that does not apply to `what`.
 
         Raises:
-            UsageError: if something that is not `known` was picked.
+            UsageError: if a field that is not in `known` is set.
         """
         for name in self.given():
             if name not in known:
                 options = ", ".join(f"--{item}" for item in sorted(known)) or "nothing"
-                raise UsageError(f"--{name} picks nothing of {what}; leave it out (what can be picked: {options})")
+                raise UsageError(f"--{name} does not apply to {what}; leave it out (options that apply: {options})")
 
 
 def parse_steps(text: str) -> range:
-    """The steps that `A:B` means, B excluded; without A from the first, without B to the last.
+    """Parse `A:B` as the steps from A to B, without B; A defaults to the first step, B to the end.
 
     Raises:
-        UsageError: if `text` is not of this form.
+        UsageError: if `text` does not have this form.
     """
     match = re.fullmatch(r"([0-9]{0,18}):([0-9]{0,18})", text)
     if not match:

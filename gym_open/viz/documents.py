@@ -1,6 +1,6 @@
-"""Documents of a recording, in Markdown: configuration and lineage as tables, the raw JSON below them.
+"""Documents of a recording, in Markdown: configuration and lineage as tables, with the raw JSON below.
 
-Text from files is shown as it is: Markdown finds no markup in it.
+Text from files is escaped, so that Markdown shows it as it is.
 """
 
 import json
@@ -13,68 +13,68 @@ from gym_open.markdown import cell, table
 from gym_open.terminal import printable
 
 _MOST_RAW = 20_000
-"""Characters of raw JSON that are shown: Rerun draws all of a document in every frame."""
+"""Limit of characters of raw JSON: Rerun draws a whole document in every frame."""
 _MOST_ROWS = 500
-"""Settings that are shown in the table: ten times as many as a stage has."""
+"""Limit of rows of the table of settings; a stage has about 50 settings."""
 _SHORT = 12
-"""Characters of a digest that are shown in a table."""
+"""Characters of a digest in a table."""
 
 
 def settings(title: str, facts: Mapping[str, object], config: Mapping[str, Any]) -> str:
-    """What is worth knowing first, all settings as a table, and the configuration as it is.
+    """Write the main facts, a table of all settings, and the configuration as JSON.
 
     Args:
         title: heading.
-        facts: a few words each, by name.
-        config: plain data, from a file.
+        facts: short texts by name.
+        config: plain data from a file.
     """
     every = list(flattened(config))
     rows = [[cell(name), cell(value)] for name, value in every[:_MOST_ROWS]]
     if len(every) > _MOST_ROWS:
-        rows.append(["…", f"{len(every) - _MOST_ROWS:,} more are in the file"])
+        rows.append(["…", f"the file has {len(every) - _MOST_ROWS:,} more"])
     lines = [
         f"# {cell(title)}",
         *([*table(["", ""], [[cell(name), cell(value)] for name, value in facts.items()]), ""] if facts else []),
         "## Settings",
-        *(table(["setting", "value"], rows) if rows else ["none are told"]),
-        "## As it is written",
+        *(table(["setting", "value"], rows) if rows else ["no settings"]),
+        "## JSON",
         raw_json(config),
     ]
     return "\n".join(lines)
 
 
 def lineage(title: str, record: Lineage | None, facts: Mapping[str, object]) -> str:
-    """Where an artefact comes from: itself and all its ancestors, with digests; of what is none, the `facts`."""
+    """Write an artefact's lineage with the digests of all ancestors; without a record, only the `facts`."""
     if record is None:
         rows = [[cell(name), cell(value)] for name, value in facts.items()]
         return "\n".join([f"# {cell(title)}", *table(["", ""], rows)])
     rows = [
-        [f"{'·' * depth} {cell(one.kind)}", cell(digest[:_SHORT]), cell(one.code)]
-        for depth, digest, one in _ancestors(record)
+        [f"{'·' * depth} {cell(item.kind)}", cell(digest[:_SHORT]), cell(item.code)]
+        for depth, digest, item in _ancestors(record)
     ]
-    told = [
-        [cell(name.replace("_", " ")), cell(_short(value)), cell(one.kind)]
-        for _, _, one in _ancestors(record)
-        for name, value in one.facts.items()
+    about = [
+        [cell(name.replace("_", " ")), cell(_short(value)), cell(item.kind)]
+        for _, _, item in _ancestors(record)
+        for name, value in item.facts.items()
     ]
     packages = [[cell(name), cell(version)] for name, version in record.packages.items()]
     lines = [
         f"# {cell(title)}",
-        "Made of what stands below it; a digest names its bytes.",
+        "Each artefact was made from those below it. A digest identifies the bytes of an artefact.",
         "",
         *table(["artefact", "digest", "code"], rows),
         "## Facts",
-        *table(["fact", "", "of the"], told),
+        *table(["fact", "", "of the"], about),
         "## Packages",
         *table(["package", "version"], packages),
-        "## As it is written, without the ancestors",
+        "## JSON, without the ancestors",
         raw_json({"kind": record.kind, "key": record.key, "code": record.code, "facts": record.facts}),
     ]
     return "\n".join(lines)
 
 
 def flattened(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Every setting, by its name with dots; numbers and names first, then what they are grouped under."""
+    """All settings by their dotted names; settings of a group come after those without a group."""
     groups = {name: value for name, value in config.items() if isinstance(value, Mapping)}
     yield from ((prefix + name, value) for name, value in config.items() if name not in groups)
     for name, group in groups.items():
@@ -82,22 +82,22 @@ def flattened(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str
 
 
 def raw_json(value: Mapping[str, Any]) -> str:
-    """A block of code that holds the JSON, whatever is in it, up to a length that can be drawn."""
+    """A Markdown code block with the JSON, shortened to a length that Rerun can draw."""
     text = printable(json.dumps(value, indent=1, ensure_ascii=False))
     if len(text) > _MOST_RAW:
-        text = f"{text[:_MOST_RAW]}\n… {len(text) - _MOST_RAW:,} more characters are in the file"
+        text = f"{text[:_MOST_RAW]}\n… {len(text) - _MOST_RAW:,} more characters in the file"
     fence = "`" * max(3, 1 + max(map(len, re.findall("`+", text)), default=0))
     return f"{fence}json\n{text}\n{fence}"
 
 
-def _ancestors(record: Lineage, depth: int = 0, digest: str = "this one") -> Iterator[tuple[int, str, Lineage]]:
+def _ancestors(record: Lineage, depth: int = 0, digest: str = "this artefact") -> Iterator[tuple[int, str, Lineage]]:
     yield depth, digest, record
     for parent in record.parents:
         yield from _ancestors(parent.lineage, depth + 1, parent.digest)
 
 
 def _short(value: object) -> object:
-    """The beginning of a digest; of many things, how many there are; all else as it is."""
+    """Shorten a value: the start of a digest, the number of items of a collection, any other value unchanged."""
     if isinstance(value, list | dict):
-        return f"{len(value)} of them" if value else "none"
+        return f"{len(value)} items" if value else "none"
     return value[:_SHORT] if isinstance(value, str) and re.fullmatch("[0-9a-f]{64}", value) else value

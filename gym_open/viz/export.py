@@ -10,8 +10,8 @@ from gym_open.terminal import printable
 from gym_open.viz.config import Choice, VizConfig
 from gym_open.viz.film import FILMS, check_suffix, write_film, write_whole
 from gym_open.viz.play.film import FPS, film
-from gym_open.viz.play.glance import glance
 from gym_open.viz.play.page import open_streams
+from gym_open.viz.play.preview import preview
 from gym_open.viz.recording import LOG, kind_of
 from gym_open.viz.render import shown_look
 
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-class Page(NamedTuple):
-    """A drawing, and its size in inches."""
+class PageDrawing(NamedTuple):
+    """A figure to draw, and its size in inches."""
 
     width: float
     height: float
@@ -28,61 +28,64 @@ class Page(NamedTuple):
 
 
 def write_still(config: VizConfig, sources: Sequence[Path], choice: Choice, out: Path) -> Path:
-    """Draw one page: of play, pictures through time, coverage and curves; of a puzzle, a film strip of each agent.
+    """Draw one page as PNG.
+
+    For a log or release it shows images over time, coverage and series; for a puzzle, a film strip per agent; for
+    scores, all puzzles of their task.
 
     Args:
-        config: in which look.
-        sources: one log or release; scores and policies with a puzzle; or scores alone, for all puzzles of their task.
-        choice: what of it.
-        out: the picture, `.png`; it appears whole or not at all.
+        config: decides the look.
+        sources: one log or release; scores and policies with a puzzle; or only scores.
+        choice: the part of it.
+        out: the `.png` file, written completely or not at all.
 
     Raises:
         ArtefactError: if a source is missing or damaged.
-        UsageError: if `out` ends in something else, what was picked is not there, or there is no page of the sources.
+        UsageError: if `out` has another suffix, the selected part does not exist, or these sources have no page.
     """
     check_suffix(out, (".png",))
-    picture = draw_png(*_page(config, sources, choice))
-    return write_whole(out, lambda beside: beside.write_bytes(picture))
+    png = draw_png(*_page(config, sources, choice))
+    return write_whole(out, lambda beside: beside.write_bytes(png))
 
 
-def _page(config: VizConfig, sources: Sequence[Path], choice: Choice) -> Page:
+def _page(config: VizConfig, sources: Sequence[Path], choice: Choice) -> PageDrawing:
     look = shown_look(config.film_look)
     if choice.puzzle is not None:
         from gym_open.viz.puzzles.episodes import play_all
         from gym_open.viz.puzzles.still import strips
 
         choice.refuse_others("a puzzle", {"puzzle"})
-        return Page(*strips(play_all(choice.puzzle, sources), look))
+        return PageDrawing(*strips(play_all(choice.puzzle, sources), look))
     kinds = {kind_of(source) for source in sources}
     if kinds == {"scores"}:
         from gym_open.viz.puzzles.still import overview
         from gym_open.viz.puzzles.tables import read_tables
 
         choice.refuse_others("scores", {"puzzle"})
-        return Page(*overview(read_tables(sources)))
+        return PageDrawing(*overview(read_tables(sources)))
     if len(sources) == 1 and kinds <= {LOG, "release"}:
         from gym_open.viz.play.still import play_page
 
         title, streams = open_streams(sources[0], choice)
-        return Page(*play_page(printable(title), streams))
+        return PageDrawing(*play_page(printable(title), streams))
     raise UsageError(
-        f"--png: no page of {', '.join(sorted(kinds)) or 'nothing'}; give one log or release, scores, or scores and "
-        "policies with --puzzle TASK/NUMBER; --save has all else for Rerun"
+        f"--png: cannot draw {', '.join(sorted(kinds)) or 'nothing'} as a page; give one log or release, scores, or "
+        "scores and policies with --puzzle TASK/NUMBER; for other sources use --save"
     )
 
 
 def write_video(config: VizConfig, sources: Sequence[Path], choice: Choice, out: Path) -> Path:
-    """Film the first stream of a log or release, or what was picked; or a puzzle by all sources, and its witness.
+    """Film a stream of a log or release (by default the first), or all agents and the witness on one puzzle.
 
     Args:
-        config: how many pictures, and in which look.
-        sources: one log or release; or scores and policies, with a puzzle.
-        choice: what of it.
-        out: the film, `.mp4` or `.gif`; it appears whole or not at all.
+        config: decides the number of frames and the look.
+        sources: one log or release; or scores and policies with a puzzle.
+        choice: the part of it.
+        out: the `.mp4` or `.gif` file, written completely or not at all.
 
     Raises:
-        ArtefactError: if a source is missing, damaged, or nothing in it moves.
-        UsageError: if `out` ends in something else, or what was picked is not there.
+        ArtefactError: if a source is missing or damaged.
+        UsageError: if `out` has another suffix, the selected part does not exist, or the sources cannot be filmed.
     """
     check_suffix(out, FILMS)
     look = shown_look(config.film_look)
@@ -95,9 +98,9 @@ def write_video(config: VizConfig, sources: Sequence[Path], choice: Choice, out:
     kinds = {kind_of(source) for source in sources}
     if len(sources) != 1 or not kinds <= {LOG, "release"}:
         raise UsageError(
-            f"--video: nothing moves in {', '.join(sorted(kinds))}; give one log or release, or scores and policies "
-            "with --puzzle TASK/NUMBER"
+            f"--video: cannot film {', '.join(sorted(kinds))}; give one log or release, or scores and policies with "
+            "--puzzle TASK/NUMBER"
         )
     title, streams = open_streams(sources[0], choice)
-    play = glance(streams[0], config.film_pictures)
-    return write_film(out, film(printable(title), play, look, len(streams) - 1), FPS)
+    shown = preview(streams[0], config.film_pictures)
+    return write_film(out, film(printable(title), shown, look, len(streams) - 1), FPS)

@@ -1,4 +1,4 @@
-"""The figure at the end of `gym-open run`: how play went, how learning went, what it was worth."""
+"""The figure at the end of `gym-open run`: exploration, fine-tuning and scores."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -31,11 +31,11 @@ def draw_run_figure(log: Path, others: Sequence[Path], save: Path) -> Path:
 
     Args:
         log: a log artefact.
-        others: policy and scores artefacts of one task, in any order; what is not there is not drawn.
-        save: the picture; it appears whole or not at all.
+        others: policy and scores artefacts of one task, in any order; any of them may be missing.
+        save: the PNG file, written completely or not at all.
 
     Raises:
-        ArtefactError: if an artefact's summary, curve or scores are missing or not readable.
+        ArtefactError: if an artefact's summary, curve or scores are missing or unreadable.
     """
     policies = [path for path in others if artefacts.lineage(path).kind == "policy"]
     scores = [path for path in others if artefacts.lineage(path).kind == "scores"]
@@ -63,9 +63,9 @@ def _exploration(axes: "Axes", log: Path) -> None:
     axes.set(title="Exploration in the sandbox, no reward", xlabel="steps of all streams", ylabel="loss, scaled")
     for name, style in {
         "world_model_loss": {"color": SKY, "label": "world model's loss in training"},
-        "world_loss": {"color": BLUE, "linewidth": 1.8, "label": "of the worlds in play"},
+        "world_loss": {"color": BLUE, "linewidth": 1.8, "label": "loss of the current worlds"},
     }.items():
-        if np.isfinite(curve[name]).any():  # there is none without a world model
+        if np.isfinite(curve[name]).any():  # without a world model there is no loss
             axes.plot(curve["step"], curve[name], **style, marker="o" if len(curve["step"]) == 1 else "")
     if curriculum["rule"] == "loss" and curriculum["threshold"] > 0:
         axes.axhline(curriculum["threshold"], color=VERMILION, linestyle="--", label="threshold: world learned")
@@ -73,13 +73,13 @@ def _exploration(axes: "Axes", log: Path) -> None:
         label = f"switch of world ({len(at)})"
         floor = axes.get_xaxis_transform()
         axes.plot(at, np.full(len(at), 0.02), "|", color=BLACK, markersize=10, transform=floor, label=label)
-    axes.set_yscale("log")  # the loss falls by a factor of 20 and is decided on near the threshold
+    axes.set_yscale("log")  # the loss falls by a factor of 20, and small values decide about switches
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.5)))
 
 
 def _switch_steps(segments: list[dict[str, Any]]) -> list[int]:
-    """When each stream went from one world to another, in steps of all streams, which move at one pace."""
+    """When streams switched worlds, in steps of all streams; streams take their steps together."""
     streams = {item["stream"] for item in segments}
     found = []
     for stream in streams:
@@ -96,8 +96,8 @@ def _fine_tuning(axes: "Axes", policies: Sequence[Path], task: str) -> None:
     for path in policies:
         curve = _columns(_read(path / "curve.json"))
         name = ENCODER if artefacts.lineage(path).facts["from_encoder"] else SCRATCH
-        there = np.isfinite(curve["mean_return"])
-        axes.plot(curve["step"][there], curve["mean_return"][there], **STYLES[name], markersize=3, label=name)
+        known = np.isfinite(curve["mean_return"])
+        axes.plot(curve["step"][known], curve["mean_return"][known], **STYLES[name], markersize=3, label=name)
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))  # so that a small difference looks small
 
 
@@ -130,6 +130,6 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _columns(curve: dict[str, Any]) -> dict[str, np.ndarray]:
-    """Columns of a curve by name; null becomes not-a-number."""
+    """Columns of a curve by name; null becomes NaN."""
     rows = np.array(curve["rows"], dtype=np.float64).reshape(-1, len(curve["columns"]))
     return {name: rows[:, i] for i, name in enumerate(curve["columns"])}

@@ -1,4 +1,4 @@
-"""Films and pictures as files: MP4 by PyAV, GIF and PNG by Pillow; each appears whole or not at all."""
+"""Files that viz writes, completely or not at all: films as MP4 (PyAV) or GIF (Pillow), and helpers for frames."""
 
 import os
 from collections.abc import Callable, Iterator
@@ -18,20 +18,21 @@ PAPER, INK, FAINT = (250, 250, 248), (25, 25, 25), (110, 110, 110)
 
 
 def write_film(out: Path, frames: Iterator[np.ndarray], fps: int) -> Path:
-    """Write frames (H, W, 3) uint8 as MP4 (H.264, which wants both edges even) or GIF, by the suffix.
+    """Write frames (H, W, 3) uint8 as MP4 or GIF; the suffix decides.
 
-    A GIF is held in memory while it is written, and shows at most 50 pictures a second.
+    MP4 is coded as H.264, which needs an even width and height. A GIF is held in memory until it is written, and shows
+    at most 50 frames per second.
     """
     write = _write_mp4 if out.suffix == ".mp4" else _write_gif
     return write_whole(out, lambda beside: write(beside, frames, fps))
 
 
 def write_whole(out: Path, write: Callable[[Path], Any]) -> Path:
-    """Write a file beside `out`, then rename it.
+    """Write a temporary file next to `out`, then rename it to `out`.
 
     Raises:
-        ArtefactError: if nothing can be written there.
-        UsageError: if the place is in a finished artefact.
+        ArtefactError: if the file cannot be written.
+        UsageError: if `out` lies in a finished artefact.
     """
     refuse_artefact(out)
     beside = out.with_name(f".{out.name}.{os.getpid()}.tmp")
@@ -51,22 +52,22 @@ def write_whole(out: Path, write: Callable[[Path], Any]) -> Path:
 
 
 def refuse_artefact(out: Path) -> None:
-    """Refuse to write into a finished artefact, since that would no longer be what its manifest says.
+    """Refuse to write into a finished artefact, because its manifest lists all its files.
 
     Raises:
         UsageError: if `out` lies in one.
     """
     for folder in out.resolve().parents:
-        finished = not folder.name.startswith(".")  # a hidden one is still being made, perhaps with this file in it
+        finished = not folder.name.startswith(".")  # hidden folders are unfinished artefacts, which may get this file
         if finished and all((folder / name).is_file() for name in (artefacts.MANIFEST, artefacts.LINEAGE)):
-            raise UsageError(f"{out}: in the artefact {folder}, whose files are fixed; give a place elsewhere")
+            raise UsageError(f"{out}: lies in the artefact {folder}, whose files are fixed; give a path outside it")
 
 
 def check_suffix(out: Path, known: tuple[str, ...]) -> None:
-    """Refuse a file name that ends in something else.
+    """Refuse a file name with another suffix.
 
     Raises:
-        UsageError: if it does.
+        UsageError: if the suffix is not in `known`.
     """
     if out.suffix not in known:
         found = repr(out.suffix) if out.suffix else "none"
@@ -74,23 +75,23 @@ def check_suffix(out: Path, known: tuple[str, ...]) -> None:
 
 
 def typeface(size: int) -> ImageFont.FreeTypeFont:
-    """DejaVu Sans, which has arrows and comes with matplotlib."""
+    """The font DejaVu Sans, which has arrows and is part of matplotlib."""
     import matplotlib as mpl
 
     return ImageFont.truetype(str(Path(mpl.get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")), size)
 
 
 def even(frame: Image.Image) -> np.ndarray:
-    """The picture with both edges even, as H.264 wants them: (H, W, 3) uint8."""
+    """The frame with an even width and height, as H.264 needs it: (H, W, 3) uint8."""
     width, height = frame.size
     page = Image.new("RGB", (width + width % 2, height + height % 2), PAPER)
     page.paste(frame)
     return np.asarray(page)
 
 
-def enlarged(picture: np.ndarray, size: int) -> np.ndarray:
-    """A square picture at another size, its pixels kept apart: (size, size, 3) uint8."""
-    return np.asarray(Image.fromarray(picture).resize((size, size), Image.Resampling.NEAREST))
+def enlarged(image: np.ndarray, size: int) -> np.ndarray:
+    """A square image at another size without smoothing: (size, size, 3) uint8."""
+    return np.asarray(Image.fromarray(image).resize((size, size), Image.Resampling.NEAREST))
 
 
 def _write_mp4(path: Path, frames: Iterator[np.ndarray], fps: int) -> None:

@@ -1,4 +1,4 @@
-"""The front door: which view shows what a person points at."""
+"""The entry point of viz: find the view that shows a source."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,32 +10,32 @@ from gym_open.viz.config import Choice, VizConfig
 from gym_open.viz.view import View
 
 LOG, BENCHMARK = "log", "benchmark"
-_PLAY = frozenset({LOG, "release"})
-_PLAYED = frozenset({"scores", "policy"})
+_EXPLORED = frozenset({LOG, "release"})
+_EVALUATED = frozenset({"scores", "policy"})
 _LEARNED = frozenset({"encoder", "policy", "probe", "report", BENCHMARK})
-_LOOKED_AT = "a log (a folder or one .mcap), release, encoder, policy, probe, scores, report, or a benchmark's folder"
+_SOURCES = "a log (a folder or one .mcap), release, encoder, policy, probe, scores, report, or a benchmark's folder"
 
 
 def open_view(config: VizConfig, sources: Sequence[Path], choice: Choice) -> View:
-    """What there is to see in the sources; it is read when the view is filled, or already here if it is small.
+    """Choose the view of the sources; large sources are read only when the view fills a recording.
 
     Args:
-        config: how much of it to show.
-        sources: one log, release, encoder or policy; or several that can be seen together: scores, policies on one
-            puzzle, or anything that has curves.
-        choice: what of it.
+        config: how much of a source to show.
+        sources: one log, release, encoder or policy; or several sources that have a common view: scores, scores and
+            policies on one puzzle, or sources with curves.
+        choice: the part of the source.
 
     Raises:
-        ArtefactError: if a source is missing, damaged, or nothing that can be looked at.
-        UsageError: if the sources cannot be seen together, or what was picked is not part of them.
+        ArtefactError: if a source is missing, damaged, or of a kind without a view.
+        UsageError: if the sources have no common view, or the selected part does not exist.
     """
     if not sources:
-        raise UsageError(f"nothing to look at was given; give {_LOOKED_AT}")
+        raise UsageError(f"no source given; give {_SOURCES}")
     kinds = {source: kind_of(source) for source in sources}
     found = set(kinds.values())
     alone = len(sources) == 1
     if choice.puzzle is not None or found == {"scores"}:
-        if others := [source for source, kind in kinds.items() if kind not in _PLAYED]:
+        if others := [source for source, kind in kinds.items() if kind not in _EVALUATED]:
             raise UsageError(f"--puzzle shows scores and policies; {others[0]} is of kind {kinds[others[0]]!r}")
         from gym_open.viz import puzzles
 
@@ -44,7 +44,7 @@ def open_view(config: VizConfig, sources: Sequence[Path], choice: Choice) -> Vie
         from gym_open.viz import features
 
         return features.view(config, sources[0], choice)
-    if alone and found <= _PLAY:
+    if alone and found <= _EXPLORED:
         from gym_open.viz import play
 
         return play.view(config, sources[0], choice)
@@ -52,40 +52,40 @@ def open_view(config: VizConfig, sources: Sequence[Path], choice: Choice) -> Vie
         from gym_open.viz import curves
 
         return curves.view(config, sources, choice)
-    told = ", ".join(sorted(kinds[source] for source in sources))
+    given = ", ".join(sorted(kinds[source] for source in sources))
     raise UsageError(
-        f"{len(sources)} sources ({told}) are not seen together; give one log or release, or scores alone, or models, "
+        f"{len(sources)} sources ({given}) have no common view; give one log or release, or only scores, or models, "
         "probes and reports, or scores and policies with --puzzle TASK/NUMBER"
     )
 
 
 def kind_of(source: Path) -> str:
-    """Kind of the artefact at `source`; `log` also for one log file and for what a killed explorer left.
+    """Kind of the artefact at `source`; `log` also for a single log file and for an unfinished log.
 
     Raises:
-        ArtefactError: if there is nothing, or nothing that can be looked at.
+        ArtefactError: if `source` does not exist, or is of a kind without a view.
     """
     if not source.exists():
-        raise ArtefactError(f"{source}: no such file or folder; give {_LOOKED_AT}")
+        raise ArtefactError(f"{source}: no such file or folder; give {_SOURCES}")
     if source.suffix == ".mcap" and source.is_file():
         return LOG
     if (source / artefacts.LINEAGE).is_file():
-        kind = _kind_told(source)
-        if kind in _PLAY | _PLAYED | _LEARNED:
+        kind = _kind_in_lineage(source)
+        if kind in _EXPLORED | _EVALUATED | _LEARNED:
             return kind
         what = {"recording": "rerun", "figure": "open"}.get(kind)
         file = next((file.name for ending in ("rrd", "png") for file in source.glob(f"*.{ending}")), "its file")
-        remedy = f"it is a picture already: {what} {source / file}" if what else f"give {_LOOKED_AT}"
-        raise ArtefactError(f"{source}: nothing to draw in an artefact of kind {kind!r}; {remedy}")
+        remedy = f"it can be opened directly: {what} {source / file}" if what else f"give {_SOURCES}"
+        raise ArtefactError(f"{source}: there is no view of an artefact of kind {kind!r}; {remedy}")
     if _holds_logs(source):
         return LOG
     if (source / "jobs").is_dir():
         return BENCHMARK
-    raise ArtefactError(f"{source}: not made by gym-open, or not a whole artefact; give {_LOOKED_AT}")
+    raise ArtefactError(f"{source}: not made by gym-open, or incomplete; give {_SOURCES}")
 
 
-def _kind_told(source: Path) -> str:
-    """What the artefact says it is; logs may be damaged in any way, and are looked at all the same."""
+def _kind_in_lineage(source: Path) -> str:
+    """The kind according to the lineage; a log with a damaged lineage is still a log."""
     try:
         return artefacts.lineage(source).kind
     except ArtefactError:
@@ -99,5 +99,5 @@ def _holds_logs(source: Path) -> bool:
 
 
 def visualize(config: VizConfig, source: Path, save: Path) -> Path:
-    """Write a recording of all of `source` to `save`, as `open_view` and `viewers.save` do, and return its path."""
+    """Write a recording of all of `source` to the `.rrd` file `save`, and return its path."""
     return viewers.save(open_view(config, [source], Choice()), save)

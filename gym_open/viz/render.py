@@ -1,4 +1,4 @@
-"""Contact sheets of puzzles and videos of episodes, in either look; each file appears whole or not at all."""
+"""Contact sheets of puzzles and videos of episodes, in either look."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -20,29 +20,30 @@ from gym_open.replay.episodes import scored_row
 from gym_open.viz.film import FAINT, FILMS, INK, PAPER, check_suffix, enlarged, even, typeface, write_film, write_whole
 
 Look = Literal["handsome", "observation"]
-"""`handsome` needs OpenGL; `observation` is what an agent sees, its pixels enlarged."""
+"""`handsome` needs OpenGL; `observation` is what an agent sees, enlarged."""
 Painter = Callable[[World], np.ndarray]
+"""Draws a world as (size, size, 3) uint8."""
 
 DIRECTIONS = (
     "• no move", "→ east", "↗ north-east", "↑ north", "↖ north-west",
     "← west", "↙ south-west", "↓ south", "↘ south-east",
 )  # fmt: skip
-"""What each action is called in a caption; north is away from the camera."""
+"""Name of each action in a caption; north is away from the camera."""
 
 
-class Moment(NamedTuple):
-    """What a caption says."""
+class FilmedStep(NamedTuple):
+    """What a caption says about a step."""
 
     step: int
-    """0 before the first."""
+    """0 before the first step."""
     action: int
     reward: float
     total: float
-    """Rewards so far."""
+    """Sum of the rewards so far."""
 
 
 _HELD_S = 0.8
-"""Seconds for which a video holds its first and last picture."""
+"""Seconds for which a video shows its first and its last frame."""
 
 
 def contact_sheet(
@@ -54,19 +55,19 @@ def contact_sheet(
     columns: int = 10,
     options: WorldOptions | None = None,
 ) -> Path:
-    """Draw puzzles as they begin, side by side, each over its name, as a PNG.
+    """Draw the first states of puzzles side by side as a PNG, each above its name.
 
     Args:
-        puzzles: by name, in the order of the sheet.
-        out: the picture's file.
-        look: which look.
-        size: edge of one picture in pixels.
-        columns: pictures in a row.
-        options: of the world; None for v1.
+        puzzles: puzzles by name, in the order of the sheet.
+        out: the `.png` file, written completely or not at all.
+        look: the look.
+        size: edge of one image in pixels.
+        columns: images per row.
+        options: options of the world; None for version 1.
 
     Raises:
-        UsageError: if there is no puzzle, `out` is no PNG, or the size is out of bounds.
-        OpenGLError: if the look needs OpenGL and there is none.
+        UsageError: if there is no puzzle, `out` does not end in `.png`, or the size is out of bounds.
+        OpenGLError: if the look needs OpenGL and OpenGL is missing.
     """
     check_suffix(out, (".png",))
     sheet = draw_sheet(puzzles, look=look, size=size, columns=columns, options=options)
@@ -76,11 +77,11 @@ def contact_sheet(
 def draw_sheet(
     puzzles: Mapping[str, Puzzle], *, look: Look, size: int, columns: int, options: WorldOptions | None = None
 ) -> Image.Image:
-    """The picture that `contact_sheet` writes.
+    """The image that `contact_sheet` writes.
 
     Raises:
         UsageError: if there is no puzzle, or the size is out of bounds.
-        OpenGLError: if the look needs OpenGL and there is none.
+        OpenGLError: if the look needs OpenGL and OpenGL is missing.
     """
     _check_range("size", size, 32, 2048)
     if not puzzles:
@@ -114,26 +115,26 @@ def episode_video(
     frames_per_step: int = 5,
     options: WorldOptions | None = None,
 ) -> Path:
-    """Play the actions and film it, as MP4 (H.264) or GIF by the suffix; under it step, action, reward and return.
+    """Film an episode as MP4 (H.264) or GIF, with a caption of step, action, reward and return.
 
-    Things are filmed between steps as well, `frames_per_step` times a step of 0.04 s, so that they are seen to move.
-    The film ends with the episode, or with the actions.
+    The film has `frames_per_step` frames per step of 0.04 s, so that motion is smooth. It ends when the episode ends or
+    after the last action.
 
     Args:
-        puzzle: where.
-        actions: 0–8 each.
-        out: the film's file.
-        name: what the caption calls the puzzle; its task if empty.
-        look: which look.
-        size: width of the film in pixels; the caption comes below a square picture.
-        fps: pictures a second; a GIF can show at most 50.
-        frames_per_step: pictures a step, which must divide the substeps of a step.
-        options: of the world; None for v1.
+        puzzle: the puzzle.
+        actions: actions, 0 to 8.
+        out: the `.mp4` or `.gif` file, written completely or not at all.
+        name: name of the puzzle in the caption; its task if empty.
+        look: the look.
+        size: width of the film in pixels; the caption is below a square image.
+        fps: frames per second; a GIF shows at most 50.
+        frames_per_step: frames per step; must divide the number of substeps.
+        options: options of the world; None for version 1.
 
     Raises:
         UsageError: if the suffix is another one, a number is out of bounds, or `frames_per_step` does not divide the
-            substeps.
-        OpenGLError: if the look needs OpenGL and there is none.
+            number of substeps.
+        OpenGLError: if the look needs OpenGL and OpenGL is missing.
     """
     check_suffix(out, FILMS)
     _check_range("size", size, 32, 2048)
@@ -146,8 +147,8 @@ def episode_video(
 
         def frames() -> Iterator[np.ndarray]:
             frame = np.zeros(0)
-            for i, (shown, moment) in enumerate(moments(world, puzzle, actions, frames_per_step)):
-                frame = _captioned(paint(shown), title, moment)
+            for i, (shown, filmed) in enumerate(played_steps(world, puzzle, actions, frames_per_step)):
+                frame = _captioned(paint(shown), title, filmed)
                 yield from [frame] * (held if i == 0 else 1)
                 bar.advance(i > 0 and i % frames_per_step == 0)
             yield from [frame] * held
@@ -156,7 +157,7 @@ def episode_video(
 
 
 def random_actions(puzzle: Puzzle, rng: np.random.Generator, steps: int | None = None) -> list[int]:
-    """Uniformly random actions, as the random agent draws them; as many as the task's budget if `steps` is None.
+    """Uniformly random actions, as the random agent draws them; if `steps` is None, as many as the task's budget.
 
     Raises:
         PuzzleError: if `steps` is None and the task has no budget.
@@ -165,38 +166,38 @@ def random_actions(puzzle: Puzzle, rng: np.random.Generator, steps: int | None =
 
 
 def scored_actions(scores: Path, puzzle_id: str) -> list[int]:
-    """What was played on a puzzle in a `scores` artefact.
+    """The actions of a `scores` artefact on a puzzle.
 
     Raises:
-        ArtefactError: if it is damaged, no `scores`, or does not hold the puzzle.
+        ArtefactError: if it is damaged, of another kind, or has no episode of the puzzle.
     """
     return scored_row(scores, puzzle_id)["actions"]
 
 
 def pose(world: World, state: np.ndarray, touched: Iterable[str] = ()) -> None:
-    """Show a loaded world as it was recorded, which nothing is simulated of.
+    """Set a loaded world to a recorded state, for drawing only; the world must not be stepped afterwards.
 
     Args:
-        world: that is only drawn from then on.
-        state: (objects, 13) of its inventory: position (m), quaternion, velocities.
-        touched: goals that were hit by then.
+        world: the world.
+        state: state of the objects of its inventory, (objects, 13): position (m), quaternion, velocities.
+        touched: names of the goals that were already touched.
     """
     world.data.qpos[:] = state[:, :7].ravel()
     world.stepper.hit[:] = np.isin(world.inventory, list(touched))
 
 
-def moments(
+def played_steps(
     world: World, puzzle: Puzzle, actions: Iterable[int], frames_per_step: int
-) -> Iterator[tuple[World, Moment]]:
-    """What is seen at the beginning and `frames_per_step` times a step, until the episode ends.
+) -> Iterator[tuple[World, FilmedStep]]:
+    """Yield the world to draw at the beginning and `frames_per_step` times per step, until the episode ends.
 
-    The world takes whole steps; a double of it is stopped on the way to be seen.
+    The world itself takes complete steps. A second world shows the states between two steps.
     """
     double, length = World(world.options), world.options.substeps // frames_per_step
     for each in (world, double):
         each.load(puzzle, recolour_hits=rewarded(puzzle.task))
     hits, total = 0, 0.0
-    yield world, Moment(0, 0, 0.0, 0.0)
+    yield world, FilmedStep(0, 0, 0.0, 0.0)
     for step, action in enumerate(actions, 1):
         double.restore_state(world.save_state())
         outcome = world.step(action)
@@ -204,32 +205,32 @@ def moments(
         double.data.qvel[:2] += c.MOVE_SPEED * np.array(c.MOVES[action])
         for _ in range(frames_per_step - 1):
             double.advance(length if action else 0)
-            yield double, Moment(step, action, 0.0, total)
+            yield double, FilmedStep(step, action, 0.0, total)
         hits, total = hits + len(outcome.hits), total + verdict.reward
-        yield world, Moment(step, action, verdict.reward, total)
+        yield world, FilmedStep(step, action, verdict.reward, total)
         if verdict.terminated:
             return
 
 
-def _captioned(picture: np.ndarray, title: str, moment: Moment) -> np.ndarray:
-    """The picture over two lines of text; both edges even, as H.264 wants them."""
-    height, width = picture.shape[:2]
+def _captioned(image: np.ndarray, title: str, filmed: FilmedStep) -> np.ndarray:
+    """The image above two lines of text, with an even width and height, as H.264 needs them."""
+    height, width = image.shape[:2]
     font = typeface(max(9, width // 26))
     line = round(1.5 * font.size)
     frame = Image.new("RGB", (width, height + 2 * line + line // 3), PAPER)
-    frame.paste(Image.fromarray(picture))
+    frame.paste(Image.fromarray(image))
     draw, margin = ImageDraw.Draw(frame), line // 2
     first, second = height + 0.65 * line, height + 1.65 * line
-    draw.text((margin, first), f"{title}   step {moment.step}", fill=INK, font=font, anchor="lm")
-    if moment.step:
-        paid = f"reward {moment.reward:g}   return {moment.total:g}"
-        draw.text((margin, second), DIRECTIONS[moment.action], fill=INK, font=font, anchor="lm")
-        draw.text((width - margin, second), paid, fill=FAINT, font=font, anchor="rm")
+    draw.text((margin, first), f"{title}   step {filmed.step}", fill=INK, font=font, anchor="lm")
+    if filmed.step:
+        rewards = f"reward {filmed.reward:g}   return {filmed.total:g}"
+        draw.text((margin, second), DIRECTIONS[filmed.action], fill=INK, font=font, anchor="lm")
+        draw.text((width - margin, second), rewards, fill=FAINT, font=font, anchor="rm")
     return even(frame)
 
 
 def shown_look(look: Look) -> Look:
-    """The look that can be drawn here: without OpenGL the observation's, which is told."""
+    """The look that this machine can draw: without OpenGL it is the observation's, and a message says so."""
     if look == "handsome" and find_backend() is None:
         progress.console.print(f"no OpenGL here: drawn as an agent sees it; {INSTALL}", highlight=False, markup=False)
         return "observation"
@@ -238,7 +239,7 @@ def shown_look(look: Look) -> Look:
 
 @contextmanager
 def painter(world: World, look: Look, size: int) -> Iterator[Painter]:
-    """What draws the world in this look, (size, size, 3) uint8."""
+    """Provide a function that draws a world in this look, (size, size, 3) uint8."""
     if look == "observation":
         yield lambda world: enlarged(world.observe(), size)
         return

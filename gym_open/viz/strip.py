@@ -1,4 +1,4 @@
-"""Series under a film's picture: drawn once, with a cursor that moves."""
+"""Plots below a film's image: they are drawn once, and only a cursor moves."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -16,52 +16,53 @@ _DPI = 100
 _CURSOR = (25, 25, 25)
 
 
-class Curve(msgspec.Struct, frozen=True, eq=False):
-    """A line in a plot."""
+class PlotLine(msgspec.Struct, frozen=True, eq=False):
+    """A line of a plot."""
 
     x: np.ndarray
     y: np.ndarray
     colour: str
-    """As matplotlib has it."""
+    """As matplotlib names it."""
     label: str = ""
     style: str = "-"
-    """As matplotlib has it."""
+    """As matplotlib names it."""
 
 
 class Plot(msgspec.Struct, frozen=True, eq=False):
-    """Lines over the same axis, and perhaps a level that they are held against."""
+    """Lines over one axis of steps, with an optional threshold."""
 
     title: str
     """With the unit."""
-    curves: list[Curve]
+    lines: list[PlotLine]
     level: float | None = None
-    counted: bool = False
-    """Whether values are whole numbers."""
+    """The threshold."""
+    whole_numbers: bool = False
+    """Whether the values are whole numbers."""
 
 
 def draw_plot(axes: "Axes", plot: Plot, *, steps: bool = False) -> None:
-    """Draw one plot; of what is not finite there is no line, and if nothing is, words say so.
+    """Draw one plot, without values that are not finite; if none is finite, a text says so.
 
     Args:
-        axes: where.
-        plot: what.
-        steps: whether a value holds until the next, the axis being of steps.
+        axes: where to draw.
+        plot: what to draw.
+        steps: whether the axis counts steps, so that each value holds until the next.
     """
-    there = False
-    for curve in plot.curves:
-        if np.isfinite(curve.y).any():
-            there = True
+    drawn = False
+    for line in plot.lines:
+        if np.isfinite(line.y).any():
+            drawn = True
             axes.plot(
-                curve.x, curve.y, curve.style, color=curve.colour, label=curve.label or None, linewidth=1.4,
+                line.x, line.y, line.style, color=line.colour, label=line.label or None, linewidth=1.4,
                 markersize=3, drawstyle="steps-post" if steps else "default",
             )  # fmt: skip
     if plot.level is not None:
         axes.axhline(plot.level, color=VERMILION, linestyle="--", linewidth=1.2, label="threshold")
-    if not there:
+    if not drawn:
         write_in_middle(axes)
     if steps:
         axes.locator_params(axis="x", integer=True)
-    if plot.counted:
+    if plot.whole_numbers:
         axes.locator_params(axis="y", integer=True)
         axes.margins(y=0.2)
         axes.set_ylim(min(axes.get_ylim()[0], -0.5), max(axes.get_ylim()[1], 1.5))
@@ -81,10 +82,10 @@ class Strip:
 
         Args:
             plots: from top to bottom.
-            width: of the strip in pixels.
-            height: of one plot in pixels.
+            width: width of the strip in pixels.
+            height: height of one plot in pixels.
             span: first and last step.
-            label: of the axis of steps.
+            label: label of the axis of steps.
         """
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -94,7 +95,6 @@ class Strip:
                 figsize=(width / _DPI, height * len(plots) / _DPI), dpi=_DPI, layout="constrained",
                 facecolor="#{:02x}{:02x}{:02x}".format(*PAPER),
             )  # fmt: skip
-            self._places: list[tuple[int, int, int, int]] = []
             rows: list[Axes] = list(figure.subplots(len(plots), 1, sharex=True, squeeze=False)[:, 0])
             for axes, plot in zip(rows, plots, strict=True):
                 draw_plot(axes, plot, steps=True)
@@ -102,17 +102,17 @@ class Strip:
             rows[-1].set_xlabel(label, fontsize=8)
             canvas = FigureCanvasAgg(figure)
             canvas.draw()
-        self._picture = np.asarray(canvas.buffer_rgba())[..., :3].copy()
+        self._strip = np.asarray(canvas.buffer_rgba())[..., :3].copy()
         boxes = [axes.get_window_extent() for axes in rows]
-        tall = len(self._picture)
-        self._places = [(int(box.x0), int(box.x1), tall - int(box.y1), tall - int(box.y0)) for box in boxes]
+        tall = len(self._strip)
+        self._areas = [(int(box.x0), int(box.x1), tall - int(box.y1), tall - int(box.y0)) for box in boxes]
         self._span = span[0], max(span[1], span[0] + 1)
 
     def at(self, step: float) -> np.ndarray:
-        """The strip with its cursor at a step: (plots × height, width, 3) uint8."""
-        picture = self._picture.copy()
+        """The strip with its cursor at a step, (plots × height, width, 3) uint8."""
+        strip = self._strip.copy()
         share = np.clip((step - self._span[0]) / (self._span[1] - self._span[0]), 0, 1)
-        for left, right, top, bottom in self._places:
+        for left, right, top, bottom in self._areas:
             x = left + round(share * (right - left))
-            picture[top:bottom, max(x - 1, 0) : x + 1] = _CURSOR
-        return picture
+            strip[top:bottom, max(x - 1, 0) : x + 1] = _CURSOR
+        return strip

@@ -1,4 +1,4 @@
-"""What all views share: the `View` itself, colours, timelines and columns, and documents and figures without a time."""
+"""What all views share: the record `View`, colours, timelines, columns, and static documents and figures."""
 
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
@@ -22,33 +22,34 @@ GREY = (150, 150, 150)
 
 
 class View(NamedTuple):
-    """Something to look at in Rerun, not yet read: `viewers` saves it, opens it or serves it."""
+    """What Rerun is to show; `viewers` saves it to a file, opens a window or serves a page."""
 
     title: str
-    """What the recording is called in Rerun's list of recordings."""
+    """Name of the recording in Rerun's list."""
     fill: Callable[[rr.RecordingStream], None]
-    """Writes everything, in the order in which it is wanted on the screen."""
+    """Reads the source and writes the recording, in the order in which the screen needs it."""
     blueprint: rrb.Blueprint
+    """Layout of the screen."""
 
 
 def log_document(rec: rr.RecordingStream, entity: str, text: str) -> None:
-    """Markdown that is the same at any time."""
+    """Log a Markdown document that does not change with time."""
     rec.log(entity, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
 
 
 def log_figure(rec: rr.RecordingStream, entity: str, png: bytes) -> None:
-    """A PNG file that is the same at any time."""
+    """Log a PNG figure that does not change with time."""
     rec.log(entity, rr.EncodedImage(contents=png, media_type="image/png"), static=True)
 
 
 def times(steps: Sequence[int] | np.ndarray) -> list[rr.TimeColumn]:
-    """Both timelines, `step` and `sim_time`, at these steps."""
+    """Columns of both timelines, `step` and `sim_time`, for these steps."""
     row = np.asarray(steps, dtype=np.int64)
     return [rr.TimeColumn("step", sequence=row), rr.TimeColumn("sim_time", duration=row * CONTROL_DT_S)]
 
 
-class _Rows:
-    """Batches of one component, as one."""
+class _JoinedBatches:
+    """Batches of one component, joined."""
 
     def __init__(self, batches: Sequence[rr.DescribedComponentBatch]) -> None:
         self.batches = batches
@@ -60,6 +61,6 @@ class _Rows:
 
 
 def tensors(rows: Sequence[rr.Tensor | rr.BarChart]) -> list[rr.ComponentColumn]:
-    """The column of one or more tensors or bar charts: their own `columns` takes no more than one (Rerun 0.41)."""
+    """A column of one or more tensors or bar charts; their own method `columns` takes only one (Rerun 0.41)."""
     batches = [row.as_component_batches()[0] for row in rows]
-    return [rr.ComponentColumn(batches[0].component_descriptor(), _Rows(batches))]
+    return [rr.ComponentColumn(batches[0].component_descriptor(), _JoinedBatches(batches))]

@@ -1,7 +1,7 @@
-"""Where a view goes: into a file, Rerun's own window, or a page on loopback. Nothing leaves this machine.
+"""Destinations of a view: a file, Rerun's window, or a page on the loopback address. No data leaves this machine.
 
-The window and the page are shown by Rerun's program, as a child that ends with the command. Data goes to it while it is
-read, so the first picture comes before the last step has been looked at.
+Rerun's program shows the window and the page. It is a child process that ends with the command. It gets the data while
+the source is read, so the first image appears before the last step is read.
 """
 
 import os
@@ -26,27 +26,27 @@ from gym_open.processes import end_with_parent, interruptible
 from gym_open.terminal import printable
 from gym_open.viz.film import write_whole
 from gym_open.viz.view import View
-from gym_open.viz.web_page import LOOPBACK, Page
+from gym_open.viz.web_page import LOOPBACK, PageServer
 
 APPLICATION = "gym-open"
 WEB_PORT, DATA_PORT = 9090, 9876
-"""Of the page and of its data, as Rerun has them; another free one where they are taken."""
+"""Rerun's default ports of the page and of its data; if one is taken, another free port is used."""
 _PATIENCE = 30.0
-"""Seconds until Rerun's program listens."""
+"""Seconds to wait until Rerun's program listens."""
 _GRACE = 5.0
-"""Seconds in which it may end."""
-_LOOK = 0.1
-"""Seconds between two looks at whether it has ended."""
+"""Seconds that Rerun's program gets to end."""
+_POLL = 0.1
+"""Seconds between two checks whether the program has ended."""
 _PROGRAM = Path(rerun_cli.__file__).with_name("rerun")
-_OTHER_WAYS = "--save FILE.rrd, --web, --video FILE.mp4 or --png FILE.png need no display"
+_OTHER_WAYS = "--save FILE.rrd, --web, --video FILE.mp4 and --png FILE.png need no display"
 
 
 def save(view: View, path: Path) -> Path:
-    """Write the view as a recording, which appears whole or not at all, and return its path.
+    """Write the view as a recording, completely or not at all, and return its path.
 
     Raises:
-        ArtefactError: if the source is missing or damaged, or nothing can be written there.
-        UsageError: if the name does not end in `.rrd`, or the place is in a finished artefact.
+        ArtefactError: if the source is missing or damaged, or the file cannot be written.
+        UsageError: if the name does not end in `.rrd`, or the path lies in a finished artefact.
     """
     if path.suffix != ".rrd":
         raise UsageError(f"{path}: a recording's name must end in .rrd, got {path.suffix or 'no ending'!r}")
@@ -54,7 +54,7 @@ def save(view: View, path: Path) -> Path:
 
 
 def native(view: View) -> None:
-    """Show the view in Rerun's own window until that is closed, or Ctrl-C.
+    """Show the view in Rerun's window until the window is closed or Ctrl-C is pressed.
 
     Raises:
         ArtefactError: if the source is missing or damaged.
@@ -63,12 +63,12 @@ def native(view: View) -> None:
     """
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise UsageError(f"there is no display to open a window on (DISPLAY is not set); {_OTHER_WAYS}")
-    with interruptible() as interrupted, _Program("--expect-data-soon") as program:
+    with interruptible() as interrupted, _RerunProgram("--expect-data-soon") as program:
         program.show(view, interrupted)
 
 
 def web(view: View) -> None:
-    """Serve the view as a page on 127.0.0.1, and nowhere else, until Ctrl-C.
+    """Serve the view as a page on 127.0.0.1 only, until Ctrl-C is pressed.
 
     Raises:
         ArtefactError: if the source is missing or damaged.
@@ -77,37 +77,37 @@ def web(view: View) -> None:
     inner = free_port(0)
     with (
         interruptible() as interrupted,
-        _Program("--serve-web", "--web-viewer-port", str(inner)) as program,
-        Page(free_port(WEB_PORT), inner, program.port) as page,
+        _RerunProgram("--serve-web", "--web-viewer-port", str(inner)) as program,
+        PageServer(free_port(WEB_PORT), inner, program.port) as page,
     ):
         here = f"{LOOPBACK}:{page.port}"
         forward = " ".join(f"-L {port}:{LOOPBACK}:{port}" for port in (page.port, program.port))
         print(f"gym-open viz: {printable(view.title)} is at http://{here}")
-        print(f"  from another host: first ssh {forward} THIS-HOST, there\n  stop: Ctrl-C", flush=True)
-        program.show(view, interrupted, then="  all of it is there")
+        print(f"  from another host, first run there: ssh {forward} THIS-HOST\n  stop: Ctrl-C", flush=True)
+        program.show(view, interrupted, then="  all data is loaded")
 
 
 def _recorded(view: View) -> bytes:
-    """The view as the bytes of a recording. Rerun's own writer of files (0.41) can wait for ever on a full disk."""
+    """The view as the bytes of a recording. Rerun's own file writer (0.41) can block forever on a full disk."""
     streams: list[rr.BinaryStream] = []
     try:
         _stream(view, lambda rec: streams.append(rec.binary_stream()))
-    finally:  # what is not read, it warns of
+    finally:  # Rerun warns about bytes that are not read
         data = streams[0].read(flush=False) if streams else None
     return data or b""
 
 
 class _LostError(Exception):
-    """What was written could not be sent."""
+    """Data could not be sent to Rerun."""
 
 
 def _stream(view: View, connect: Callable[[rr.RecordingStream], None]) -> None:
-    """Fill a recording that goes where `connect` leads it.
+    """Fill a recording that `connect` sends to a destination.
 
     Raises:
-        _LostError: if not all of it came there.
+        _LostError: if some data was not sent.
     """
-    rec = rr.RecordingStream(f"{APPLICATION}: {view.title}")  # an application of its own: so is its layout
+    rec = rr.RecordingStream(f"{APPLICATION}: {view.title}")  # Rerun keeps one layout per application
     try:
         with _lost():
             connect(rec)
@@ -117,7 +117,7 @@ def _stream(view: View, connect: Callable[[rr.RecordingStream], None]) -> None:
         with _lost():
             rec.flush()
     finally:
-        with suppress(RuntimeError):  # what was lost has been told
+        with suppress(RuntimeError):  # the loss has been reported
             rec.disconnect()
 
 
@@ -129,22 +129,22 @@ def _lost() -> Iterator[None]:
         raise _LostError(str(error)) from None
 
 
-class _Program:
-    """Rerun's program, listening for data on loopback; it ends when this is left."""
+class _RerunProgram:
+    """Rerun's program, which listens for data on the loopback address and ends with this context."""
 
     def __init__(self, *options: str) -> None:
         self.port = free_port(DATA_PORT)
         self._home = tempfile.TemporaryDirectory(prefix="gym-open-rerun-")
-        self._said = Path(self._home.name, "said.txt")
+        self._output = Path(self._home.name, "output.txt")
         words = [str(_PROGRAM), "--bind", LOOPBACK, "--port", str(self.port), *options]
-        with self._said.open("wb") as output:
+        with self._output.open("wb") as output:
             self._process = subprocess.Popen(  # noqa: S603  (Rerun's program, our options)
                 words,
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 env=_silent(Path(self._home.name)),
-                start_new_session=True,  # Ctrl-C is for us, who then end it
+                start_new_session=True,  # Ctrl-C goes to this process, which then ends the program
                 preexec_fn=end_with_parent,  # noqa: PLW1509  (it only makes a system call)
             )
 
@@ -162,7 +162,7 @@ class _Program:
         self._end()
 
     def show(self, view: View, interrupted: Callable[[], bool], then: str | None = None) -> None:
-        """Send the view to the program, print `then`, and wait until the program ends or `interrupted` is true."""
+        """Send the view, print `then`, and wait until the program ends or `interrupted` returns true."""
         url = f"rerun+http://{LOOPBACK}:{self.port}/proxy"
         try:
             with self._watched():
@@ -170,20 +170,22 @@ class _Program:
             if then:
                 print(then, flush=True)
             while self._process.poll() is None and not interrupted():
-                time.sleep(_LOOK)
+                time.sleep(_POLL)
         except KeyboardInterrupt:
-            pass  # the usual end, also of a window that is closed while it fills
+            pass  # the usual end, also if the window is closed while data is sent
         except _LostError as error:
             with suppress(subprocess.TimeoutExpired):
-                self._process.wait(_GRACE)  # the connection is cut a moment before it has ended
+                self._process.wait(_GRACE)  # the connection closes shortly before the program ends
             if self._process.poll() is None:
-                raise GymOpenError(f"Rerun's viewer takes no data ({error}); run the same command again") from None
+                raise GymOpenError(
+                    f"Rerun's viewer does not accept data ({error}); run the same command again"
+                ) from None
         if self._process.poll():
             raise self._failure()
 
     @contextmanager
     def _watched(self) -> Iterator[None]:
-        """Interrupt what is done here when the program ends: nobody looks at it any more."""
+        """Interrupt the main thread when the program ends, because the data is no longer needed."""
         done = threading.Event()
 
         def watch() -> None:
@@ -209,9 +211,9 @@ class _Program:
         raise self._failure()
 
     def _failure(self) -> GymOpenError:
-        lines = self._said.read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = self._output.read_text(encoding="utf-8", errors="replace").splitlines()
         reason = next((line for line in reversed(lines) if line.startswith("Error: ")), "\n".join(lines[-1:]))
-        return GymOpenError(f"Rerun's viewer ended ({printable(reason) or 'it says nothing'}); {_OTHER_WAYS}")
+        return GymOpenError(f"Rerun's viewer ended ({printable(reason) or 'without a message'}); {_OTHER_WAYS}")
 
     def _end(self) -> None:
         self._process.terminate()
@@ -224,10 +226,10 @@ class _Program:
 
 
 def _silent(home: Path) -> dict[str, str]:
-    """The environment in which Rerun's program sends nothing about its use to its makers.
+    """The environment variables with which Rerun's program sends no usage statistics to its makers.
 
-    It reads whether it may from a file in the user's configuration, which on Linux can lie elsewhere for the program
-    that is started here. Where it cannot, the user's own setting (`rerun analytics disable`) holds.
+    The program reads this setting from the user's configuration folder. On Linux a temporary folder replaces it for
+    this program. On other systems the user's own setting applies (`rerun analytics disable`).
     """
     if sys.platform != "linux":
         return dict(os.environ)
@@ -238,7 +240,7 @@ def _silent(home: Path) -> dict[str, str]:
 
 
 def free_port(wanted: int) -> int:
-    """The wanted port of loopback if it is free, else one that is."""
+    """The wanted port on the loopback address if it is free, otherwise another free port."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:

@@ -1,7 +1,7 @@
-"""The web viewer's page on loopback, under a policy by which a browser fetches and sends nothing elsewhere.
+"""The web viewer's page on the loopback address, with a policy that keeps a browser from contacting other hosts.
 
-Rerun's page asks Google for a font, and tells Rerun's makers about its use; a browser has no setting against that.
-So it is passed on from Rerun's own server with a header that forbids it.
+Rerun's page loads a font from Google and sends usage statistics to Rerun's makers, and no setting prevents this. So a
+proxy passes on the page from Rerun's own server with a header that forbids other connections.
 """
 
 import http.client
@@ -14,20 +14,20 @@ from typing import Any, Self
 
 LOOPBACK = "127.0.0.1"
 _HERE = {LOOPBACK, "localhost"}
-"""With any port: one may be forwarded from another host."""
+"""Accepted host names, with any port, because the port may be forwarded from another host."""
 _FILES = {"/", "/re_viewer.js", "/re_viewer_bg.wasm", "/favicon.svg", "/favicon.ico"}
 
 
-class Page:
-    """Serves the page in a thread while entered."""
+class PageServer:
+    """Serve the page in a thread while the context is open."""
 
     def __init__(self, port: int, inner: int, data: int) -> None:
         """Bind the page's port.
 
         Args:
-            port: where the page is served.
+            port: port of the page.
             inner: port of Rerun's own page server.
-            data: port of the data that the page shows.
+            data: port of the data server.
         """
         self.port = port
         self._server = _Server((LOOPBACK, port), _handler(inner, data))
@@ -49,12 +49,12 @@ class _Server(ThreadingHTTPServer):
     daemon_threads = True
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        if not isinstance(sys.exception(), OSError):  # a browser may close a connection whenever it likes
+        if not isinstance(sys.exception(), OSError):  # a browser may close a connection at any time
             super().handle_error(request, client_address)
 
 
 def _is_here(host: str) -> bool:
-    """Whether a request's `Host` is this machine: another one's name may have been made to lead here."""
+    """Whether a request's `Host` names this machine; this prevents DNS rebinding."""
     return host.rpartition(":")[0] in _HERE or host in _HERE
 
 
@@ -97,7 +97,7 @@ def _handler(inner: int, data: int) -> type[BaseHTTPRequestHandler]:
             self.end_headers()
             self.wfile.write(body)
 
-        def log_message(self, format: str, *args: Any) -> None:  # noqa: A002  (its name there)
-            del format, args  # nobody wants a line a request
+        def log_message(self, format: str, *args: Any) -> None:  # noqa: A002  (the name in the base class)
+            del format, args  # no output per request
 
     return Handler

@@ -35,6 +35,6 @@ def test_a_negative_number_is_refused_by_name(name: str) -> None:
 def test_what_cannot_be_picked_is_refused_by_name() -> None:
     choice = Choice(puzzle="tool-use/017", stream=0)
     choice.refuse_others("scores", {"puzzle", "stream"})
-    with pytest.raises(UsageError, match=r"--puzzle picks nothing of a log; .*--steps, --stream"):
+    with pytest.raises(UsageError, match=r"--puzzle does not apply to a log; .*--steps, --stream"):
         choice.refuse_others("a log", {"stream", "steps"})
     Choice().refuse_others("a log", set())

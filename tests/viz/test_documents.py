@@ -18,7 +18,7 @@ def test_settings_are_named_with_dots() -> None:
 def test_markdown_and_escapes_in_settings_are_only_shown() -> None:
     hostile = {"a|b": "[click](https://example.org) <img src=x>\x1b[2J", "fence": "```\n# heading\n````"}
     text = settings("title | # `x`", {"damaged": "| **all**"}, hostile)
-    before, raw = text.split("## As it is written\n")
+    before, raw = text.split("## JSON\n")
     assert "\x1b" not in text
     assert "\\[click\\](https" in before
     assert "a\\|b" in before
@@ -45,7 +45,7 @@ def test_lineage_names_every_ancestor() -> None:
     assert any("release" in row and "this one" in row and "0.2" in row for row in rows)
     assert any("· log" in row and "d" * 12 in row and "d" * 13 not in row for row in rows)
     assert "| steps | 5 | log |" in rows
-    assert "| puzzles | 2 of them | log |" in rows
+    assert "| puzzles | 2 items | log |" in rows
     assert "| content | ffffffffffff | release |" in rows
     assert "| numpy | 2 |" in rows
 

@@ -15,10 +15,10 @@ from gym_open.formats.logs import log_files, open_log
 from gym_open.viz.config import Choice, VizConfig
 from gym_open.viz.export import write_still, write_video
 from gym_open.viz.film import write_whole
-from gym_open.viz.play.glance import glance
 from gym_open.viz.play.page import open_streams
+from gym_open.viz.play.preview import preview
 from gym_open.viz.play.still import play_page
-from gym_open.viz.strip import Curve, Plot, Strip
+from gym_open.viz.strip import Plot, PlotLine, Strip
 
 MakeLog = Callable[..., Path]
 PLAIN = VizConfig(film_look="observation")
@@ -112,27 +112,27 @@ def test_a_film_of_play_shows_each_step_and_the_last_observation(log: Path, tmp_
     assert list(out.parent.iterdir()) == [out]
 
 
-def test_a_glance_is_thinned_and_holds_means(log: Path) -> None:
+def test_a_preview_is_thinned_and_holds_means(log: Path) -> None:
     _, streams = open_streams(log, Choice(stream=0))
-    play = glance(streams[0], 5)
-    assert [moment.step for moment in play.moments] == [0, 5, 10, 15, 20, 24]
-    assert [moment.world for moment in play.moments] == [0, 1, 1, 1, 0, 0]
+    shown = preview(streams[0], 5)
+    assert [step.step for step in shown.steps] == [0, 5, 10, 15, 20, 24]
+    assert [step.world for step in shown.steps] == [0, 1, 1, 1, 0, 0]
     segments = list(open_log(log_files(log)[0]).segments())
     rewards = np.concatenate([segment.intrinsic_reward for segment in segments])
-    np.testing.assert_allclose(play.series["intrinsic_reward"], rewards)  # a bin a step
-    assert play.moments[-1].coverage.sum() == 24
-    assert play.moments[1].action == segments[1].actions[0]
-    assert play.moments[-1].action is None
-    assert [plot.level for plot in play.plots()] == [None, 0.25, None, None]
-    for curve in play.plots()[0].curves:
+    np.testing.assert_allclose(shown.series["intrinsic_reward"], rewards)  # one bin per step
+    assert shown.steps[-1].coverage.sum() == 24
+    assert shown.steps[1].action == segments[1].actions[0]
+    assert shown.steps[-1].action is None
+    assert [plot.level for plot in shown.plots()] == [None, 0.25, None, None]
+    for curve in shown.plots()[0].lines:
         assert (curve.x[-1], curve.y[-1]) == (24, rewards[-1])  # a step is as wide as the others
 
 
 def test_part_of_play_is_shown(log: Path) -> None:
     _, streams = open_streams(log, Choice(segment=1, stream=0))
-    assert [moment.step for moment in glance(streams[0], 100).moments] == list(range(5, 18))
+    assert [step.step for step in preview(streams[0], 100).steps] == list(range(5, 18))
     _, streams = open_streams(log, Choice(steps=range(7, 19), stream=0))
-    assert [moment.step for moment in glance(streams[0], 5).moments] == [7, 10, 13, 16, 19]  # from its own first on
+    assert [step.step for step in preview(streams[0], 5).steps] == [7, 10, 13, 16, 19]  # from its own first on
 
 
 def test_a_gif_of_play(log: Path, tmp_path: Path) -> None:
@@ -157,7 +157,7 @@ def test_what_fails_half_way_leaves_what_was_there(tmp_path: Path) -> None:
 def test_the_cursor_is_where_the_step_is_drawn() -> None:
     spike = np.zeros(101)
     spike[70] = 1.0
-    strip = Strip([Plot("a spike", [Curve(np.arange(101), spike, "#ff0000")])], 600, 150, (0, 100), "steps")
+    strip = Strip([Plot("a spike", [PlotLine(np.arange(101), spike, "#ff0000")])], 600, 150, (0, 100), "steps")
     still = strip.at(0).astype(int)
     red = (still[..., 0] > 200) & (still[..., 1] < 100)
     drawn = np.flatnonzero(red[40:80].any(axis=0)).mean()

@@ -93,15 +93,15 @@ def test_each_kind_has_its_view(
 @pytest.mark.parametrize(
     ("names", "choice", "error", "message"),
     [
-        ([], {}, UsageError, "nothing to look at was given; give a log"),
-        (["log", "log"], {}, UsageError, r"2 sources \(log, log\) are not seen together; give one log or release"),
-        (["log", "scores"], {}, UsageError, r"2 sources \(log, scores\) are not seen together"),
-        (["scores", "policy"], {}, UsageError, "are not seen together.*--puzzle"),
+        ([], {}, UsageError, "no source given; give a log"),
+        (["log", "log"], {}, UsageError, r"2 sources \(log, log\) have no common view; give one log or release"),
+        (["log", "scores"], {}, UsageError, r"2 sources \(log, scores\) have no common view"),
+        (["scores", "policy"], {}, UsageError, "have no common view.*--puzzle"),
         (["encoder"], {"puzzle": "tool-use/017"}, UsageError, "--puzzle shows scores and policies; .*'encoder'"),
-        (["other"], {}, ArtefactError, "nothing to draw in an artefact of kind 'other'; give a log"),
-        (["recording"], {}, ArtefactError, r"a picture already: rerun .*recording/seen\.rrd"),
-        (["figure"], {}, ArtefactError, r"a picture already: open .*figure/seen\.png"),
-        (["empty"], {}, ArtefactError, "not made by gym-open, or not a whole artefact"),
+        (["other"], {}, ArtefactError, "there is no view of an artefact of kind 'other'; give a log"),
+        (["recording"], {}, ArtefactError, r"it can be opened directly: rerun .*recording/seen\.rrd"),
+        (["figure"], {}, ArtefactError, r"it can be opened directly: open .*figure/seen\.png"),
+        (["empty"], {}, ArtefactError, "not made by gym-open, or incomplete"),
     ],
 )
 def test_what_cannot_be_seen_is_refused(

@@ -203,7 +203,7 @@ def test_the_page_is_on_loopback_alone_and_no_child_is_left(
 def test_ctrl_c_ends_the_page_although_a_library_swallows_it() -> None:
     done = run([sys.executable, "-c", SERVE, str(ROOT), __file__, "serve_and_swallow"])
     assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.endswith("  all of it is there\n")
+    assert done.stdout.endswith("  all data is loaded\n")
 
 
 @pytest.fixture

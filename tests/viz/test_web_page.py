@@ -11,7 +11,7 @@ from contextlib import closing
 import pytest
 
 from gym_open.viz.viewers import free_port
-from gym_open.viz.web_page import LOOPBACK, Page
+from gym_open.viz.web_page import LOOPBACK, PageServer
 from tests.children import HANG_S, until
 
 
@@ -29,21 +29,23 @@ class Inner(http.server.BaseHTTPRequestHandler):
 
 
 @pytest.fixture
-def page() -> Iterator[Page]:
+def page() -> Iterator[PageServer]:
     with http.server.ThreadingHTTPServer((LOOPBACK, 0), Inner) as inner:
         threading.Thread(target=inner.serve_forever, args=(0.05,), daemon=True).start()
-        with Page(free_port(0), inner.server_address[1], 1) as served:
+        with PageServer(free_port(0), inner.server_address[1], 1) as served:
             yield served
         inner.shutdown()
 
 
-def status(page: Page, host: str | None = None, path: str = "/favicon.svg") -> int:
+def status(page: PageServer, host: str | None = None, path: str = "/favicon.svg") -> int:
     with closing(http.client.HTTPConnection(LOOPBACK, page.port, timeout=HANG_S)) as connection:
         connection.request("GET", path, headers={"Host": host} if host else {})
         return connection.getresponse().status
 
 
-def test_another_machines_name_is_refused_and_a_proxy_not_asked(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_machines_name_is_refused_and_a_proxy_not_asked(
+    page: PageServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("http_proxy", f"http://{LOOPBACK}:9")
     assert [status(page, host) for host in (None, "localhost:8000", "localhost")] == [200] * 3
     assert [status(page, host) for host in ("evil.example", "evil.example:9090", "127.0.0.1.evil.example:1")] == [
@@ -51,12 +53,12 @@ def test_another_machines_name_is_refused_and_a_proxy_not_asked(page: Page, monk
     ] * 3
 
 
-def test_only_the_files_of_the_page_are_passed_on(page: Page) -> None:
+def test_only_the_files_of_the_page_are_passed_on(page: PageServer) -> None:
     assert [status(page, path=path) for path in ("/re_viewer.js", "/favicon.ico?again", "/?url=x")] == [200] * 3
     assert [status(page, path=path) for path in ("/other", "/re_viewer.js/..")] == [404] * 2
 
 
-def test_a_tab_that_closes_is_no_error(page: Page, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_tab_that_closes_is_no_error(page: PageServer, capsys: pytest.CaptureFixture[str]) -> None:
     with socket.create_connection((LOOPBACK, page.port)) as browser:
         browser.sendall(b"GET /favicon.svg HTTP/1.0\r\nHost: localhost\r\n\r\n")
         browser.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # cuts the connection
@@ -66,5 +68,5 @@ def test_a_tab_that_closes_is_no_error(page: Page, capsys: pytest.CaptureFixture
 
 
 def test_when_the_viewer_is_gone_the_page_says_so() -> None:
-    with Page(free_port(0), free_port(0), 1) as page:
+    with PageServer(free_port(0), free_port(0), 1) as page:
         assert status(page) == 502

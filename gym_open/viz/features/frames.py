@@ -1,4 +1,4 @@
-"""The pictures that an encoder is shown, and what is true of each: of a release, or of random play made for it."""
+"""The images for an encoder, with facts about each image: from a release, or from random actions."""
 
 import msgspec
 import numpy as np
@@ -9,43 +9,43 @@ from gym_open.formats.pngs import encode_pngs
 from gym_open.formats.releases import Release
 
 COUNT = 1_000
-"""Pictures: so many that a cloud has a shape, so few that each can be shown with its neighbours."""
+"""Number of images: enough to see the shape of a cloud, few enough to show each image with its neighbours."""
 SEED = 0
 _WORLDS, _APART = 40, 8
-"""Random play: worlds, and moves between two pictures of one."""
+"""For random actions: number of worlds, and moves between two images of one world."""
 _GOALS = ("yellow", "green")
 
 
 class Frames(msgspec.Struct, frozen=True, eq=False):
-    """n pictures in the order in which they are shown."""
+    """n images in the order of the timeline."""
 
     origin: str
-    """Where they are from, in words."""
+    """Text that says where they come from."""
     images: np.ndarray
     """(n, 84, 84, 3) uint8."""
-    moments: list[str]
-    """What each is of, in words."""
+    captions: list[str]
+    """Text for each image."""
     worlds: np.ndarray
-    """(n,) int64: number of its layout, counted from 0; equal layouts have equal numbers."""
+    """Number of the layout, (n,) int64, from 0; equal layouts have equal numbers."""
     agent: np.ndarray
-    """(n, 2) float64: where the agent is on the table, in metres."""
+    """Position of the agent on the table, (n, 2) float64, in metres."""
     goal: np.ndarray
-    """(n,) float64: metres from the agent to the nearest goal; not a number if there is none."""
+    """Distance from the agent to the nearest goal, (n,) float64, in metres; NaN without a goal."""
 
     def __len__(self) -> int:
-        """How many there are."""
+        """Number of images."""
         return len(self.images)
 
     def pngs(self) -> list[bytes]:
-        """The pictures as PNG files."""
+        """The images as PNG files."""
         return encode_pngs(self.images)
 
 
 def of_release(release: Release, count: int = COUNT) -> Frames:
-    """`count` frames of a release, drawn without replacement by a fixed seed, in the release's order.
+    """Draw `count` frames of a release without replacement and with a fixed seed, in the release's order.
 
     Raises:
-        ArtefactError: if it is damaged.
+        ArtefactError: if the release is damaged.
     """
     chosen = np.sort(seeding.generator(SEED, "viz", "frames").permutation(len(release))[:count])
     names = release.info["gym_open"]["objects"]
@@ -64,15 +64,15 @@ def of_release(release: Release, count: int = COUNT) -> Frames:
     return Frames(
         origin=f"{len(chosen):,} of the {len(release):,} frames of {release.name} {release.version}, drawn at random",
         images=release.images(chosen),
-        moments=[f"stream {s}, step {t:,}, episode {e}" for s, t, e in zip(streams, steps, own, strict=True)],
+        captions=[f"stream {s}, step {t:,}, episode {e}" for s, t, e in zip(streams, steps, own, strict=True)],
         worlds=worlds,
         agent=states[:, names.index("agent"), :2],
         goal=_to_goals(names, states),
     )
 
 
-def of_random_play(count: int = COUNT) -> Frames:
-    """`count` pictures of random moves in fresh sandbox worlds, every few moves one, by a fixed seed."""
+def of_random_actions(count: int = COUNT) -> Frames:
+    """Make `count` images of random actions in new sandbox worlds, one every few moves, with a fixed seed."""
     from gym_open.envs.physics.model import INVENTORY
     from gym_open.envs.puzzles.generators import sample_puzzle
     from gym_open.envs.world import World
@@ -81,7 +81,7 @@ def of_random_play(count: int = COUNT) -> Frames:
     images = np.empty((count, c.IMAGE_SIZE, c.IMAGE_SIZE, 3), np.uint8)
     states = np.empty((count, len(INVENTORY), 3))
     each = -(-count // _WORLDS)
-    with progress.bar("random play", count) as bar:
+    with progress.bar("random actions", count) as bar:
         for i in range(count):
             if i % each == 0:
                 world.load(sample_puzzle("sandbox", rng))
@@ -92,9 +92,9 @@ def of_random_play(count: int = COUNT) -> Frames:
             bar.advance()
     worlds = np.arange(count) // each
     return Frames(
-        origin=f"{count:,} pictures of random play in {worlds[-1] + 1} sandbox worlds, one every {_APART} moves",
+        origin=f"{count:,} images of random actions in {worlds[-1] + 1} sandbox worlds, one every {_APART} moves",
         images=images,
-        moments=[f"world {w}, move {(i % each + 1) * _APART}" for i, w in enumerate(worlds)],
+        captions=[f"world {w}, move {(i % each + 1) * _APART}" for i, w in enumerate(worlds)],
         worlds=worlds,
         agent=states[:, INVENTORY.index("agent"), :2],
         goal=_to_goals(INVENTORY, states),
@@ -102,9 +102,9 @@ def of_random_play(count: int = COUNT) -> Frames:
 
 
 def _to_goals(names: tuple[str, ...] | list[str], states: np.ndarray) -> np.ndarray:
-    """(n,) metres from the agent to the nearest goal that lies on the table."""
-    there = [i for i, name in enumerate(names) if name.split("_")[0] in _GOALS]
-    goals, agent = states[:, there, :2], states[:, names.index("agent"), None, :2]
+    """Distance in metres from the agent to the nearest goal on the table, (n,); NaN without a goal."""
+    present = [i for i, name in enumerate(names) if name.split("_")[0] in _GOALS]
+    goals, agent = states[:, present, :2], states[:, names.index("agent"), None, :2]
     distances = np.linalg.norm(goals - agent, axis=2)
     on_table = (np.abs(goals) <= (c.WALL_X, c.WALL_Y)).all(axis=2)
     nearest = np.where(on_table, distances, np.inf).min(axis=1, initial=np.inf)

@@ -1,4 +1,4 @@
-"""How features are laid out on the screen."""
+"""The screen of an encoder's features."""
 
 from collections.abc import Sequence
 
@@ -10,11 +10,11 @@ _MARKS = ("axes", "titles", "near", "here")
 
 
 def blueprint(names: Sequence[str], *, curve: bool) -> rrb.Blueprint:
-    """The picture and its neighbours on the left, on the right a tab a colouring; further tabs for what is said.
+    """The image and its neighbours on the left, one tab per colouring on the right; more tabs for documents.
 
     Args:
-        names: of the encoders, a column each.
-        curve: whether there is a training curve to show.
+        names: names of the encoders, one column each.
+        curve: whether there is a training curve.
     """
     clouds = [
         rrb.Grid(
@@ -26,8 +26,8 @@ def blueprint(names: Sequence[str], *, curve: bool) -> rrb.Blueprint:
         for colouring, (title, key) in COLOURINGS.items()
     ]
     shown = rrb.Vertical(
-        rrb.Spatial2DView(origin="/shown", name="frame, and nearest to it in features"),
-        rrb.TextDocumentView(origin="/shown/words", name="what they are of"),
+        rrb.Spatial2DView(origin="/shown", name="frame, and its neighbours in features"),
+        rrb.TextDocumentView(origin="/shown/words", name="what they show"),
         row_shares=[3, 2],
     )
     tabs = [

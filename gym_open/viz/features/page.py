@@ -1,4 +1,4 @@
-"""An encoder: its features of some pictures in two and three dimensions, linked to the pictures themselves."""
+"""The view of an encoder: its features of some images in two and three dimensions, linked to the images."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,27 +18,27 @@ _BATCH = 250
 TRAINED, UNTRAINED = "trained", "untrained"
 
 
-def view(config: VizConfig, source: Path, choice: Choice) -> View:  # noqa: ARG001  (as every view)
-    """What the encoder in `source` makes of pictures, beside an untrained one of the same shape.
+def view(config: VizConfig, source: Path, choice: Choice) -> View:  # noqa: ARG001  (the same for every view)
+    """The features of the encoder in `source`, next to those of an untrained encoder of the same shape.
 
-    The pictures are of the release that `choice` names, or, without one, of random play in sandbox worlds. Its
-    training curve is in a tab of its own, if there is one.
+    The images come from the release that `choice` names, or without one from random actions in sandbox worlds. If there
+    is a training curve, it has its own tab.
 
     Args:
-        config: not asked: so many pictures are shown that each can have its neighbours beside it.
+        config: not used: the number of images is fixed, so that each can be shown with its neighbours.
         source: an encoder or policy artefact, or a log whose explorer had an encoder.
-        choice: perhaps a release.
+        choice: may name a release.
 
     Raises:
-        ArtefactError: if an artefact is damaged, or `source` has no encoder that looks at pictures.
-        UsageError: if something else than a release was picked.
+        ArtefactError: if an artefact is damaged, or `source` has no encoder of images.
+        UsageError: if `choice` selects anything else than a release.
     """
     from gym_open.formats.releases import open_release
     from gym_open.results.records import read_curve
     from gym_open.viz.features import layout
 
     choice.refuse_others("an encoder", {"release"})
-    artefacts.verify(source, hashed=lambda name: not name.endswith(".mcap"))  # of a log, only its encoder is read
+    artefacts.verify(source, hashed=lambda name: not name.endswith(".mcap"))  # this reads only the encoder of a log
     encoder = _load(source)
     release = None if choice.release is None else open_release(choice.release)
     curve, name = read_curve(source), source.resolve().name
@@ -48,19 +48,19 @@ def view(config: VizConfig, source: Path, choice: Choice) -> View:  # noqa: ARG0
         from gym_open.viz.documents import lineage, settings
         from gym_open.viz.features import drawing
         from gym_open.viz.features.analysis import analyse
-        from gym_open.viz.features.frames import of_random_play, of_release
+        from gym_open.viz.features.frames import of_random_actions, of_release
         from gym_open.viz.features.words import document, draw_variance
         from gym_open.viz.view import log_document, log_figure
 
-        frames = of_random_play() if release is None else of_release(release)
+        frames = of_random_actions() if release is None else of_release(release)
         both = {TRAINED: encoder, UNTRAINED: _untrained(encoder)}
-        looked = {which: analyse(_features(one, frames.images)) for which, one in both.items()}
-        drawing.log_pictures(rec, frames, looked)
+        analyses = {which: analyse(_features(network, frames.images)) for which, network in both.items()}
+        drawing.log_images(rec, frames, analyses)
         colours = drawing.colours_of(frames)
-        for which, analysis in looked.items():
+        for which, analysis in analyses.items():
             drawing.log_cloud(rec, which, frames, analysis, colours)
-        log_document(rec, "about/features", document(encoder.config, frames, looked))
-        log_figure(rec, "about/variance", draw_variance(looked))
+        log_document(rec, "about/features", document(encoder.config, frames, analyses))
+        log_figure(rec, "about/variance", draw_variance(analyses))
         if curve is not None:
             log_figure(rec, "about/learning", draw_curve(curve))
         log_document(rec, "about/config", settings(f"Configuration of {name}", {}, artefacts.config_of(source)))
@@ -78,14 +78,14 @@ def _load(source: Path) -> "Encoder":
     encoder = load_policy(source).encoder
     if not isinstance(encoder, Encoder):
         raise ArtefactError(
-            f"{source}: its policy is told the state and looks at no picture, so it has no features of pictures; give "
-            "one that sees"
+            f"{source}: its policy gets the simulator state instead of images, so it has no features of images; give "
+            "a policy that gets images"
         )
     return encoder
 
 
 def _untrained(trained: "Encoder") -> "Encoder":
-    """The same network with weights as they are drawn, and the trained one's mean picture."""
+    """The same network with freshly drawn weights, and with the trained network's mean image."""
     import torch
 
     from gym_open.agents.encoder import Encoder
@@ -96,7 +96,7 @@ def _untrained(trained: "Encoder") -> "Encoder":
 
 
 def _features(encoder: "Encoder", images: "np.ndarray") -> "np.ndarray":
-    """(n, D) float32 features of pictures (n, 84, 84, 3)."""
+    """(n, D) float32 features of images (n, 84, 84, 3)."""
     import numpy as np
 
     return np.concatenate([encoder.encode(images[i : i + _BATCH]).numpy() for i in range(0, len(images), _BATCH)])

@@ -1,7 +1,8 @@
-"""Play in Rerun: a log, whole or damaged, a release, or part of one, a tab a stream.
+"""Exploration in Rerun: a log (also a damaged one), a release, or part of one, with one tab per stream.
 
-`page.view` is the front door. `logs` and `releases` read streams of spans (`streams`); `stream` fills a recording with
-them, by what the other modules draw: pictures, the table, series, coverage, segments; `layout` puts it on the screen.
+`page.view` is the entry point. `logs` and `releases` read a source as streams of spans (`streams`). `drawing` fills a
+recording: `images`, `table`, `series` and `events` each draw their part. `layout` arranges the screen. For people
+without Rerun, `film` and `still` draw the `preview` of a stream.
 """
 
 from gym_open.viz.play.page import view

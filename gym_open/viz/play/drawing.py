@@ -1,20 +1,20 @@
-"""A stream of play as Rerun entities, written by columns.
+"""A stream as Rerun entities, written column by column.
 
-Timelines `step` (steps the stream has taken) and `sim_time` (the same in nominal seconds). What is known of a step,
-its action, reward and contacts, stands at the number of the step, with the observation before the action. At the step
-of a switch the new world's first observation is shown; the old world's last one would be at the same step and is left
-out, but for the stream's very last.
+The timelines are `step` (steps that the stream has taken) and `sim_time` (the same in nominal seconds). A step's
+action, reward and contacts have the number of the step, like the observation before the action. At the step of a
+switch, the first observation of the new world is shown. The last observation of the old world would have the same step
+and is left out, except at the end of the stream.
 
     <stream>/observation/{image, depth, segmentation}   PNG; metres; geom ids with their names
-    <stream>/table/{ground, top, walls, pen, patch, ramp}  scenery, of the world that the stream is in
-    <stream>/table/{agent, yellow, green, …}            the objects that are there
-    <stream>/table/{trail, move, contacts}              where the agent was; the push that it gives itself; touches
-    <stream>/series/…, <stream>/threshold               numbers a step; the loss under which a world is learned
-    <stream>/world, <stream>/switches/REASON            which world of the pool, and when and why it switched
-    <stream>/world_losses, <stream>/world_loss          loss of every world at each switch: as bars, as lines
-    <stream>/coverage                                   after how many steps the agent was in each cell so far
-    <stream>/events                                     switches, what got stuck, damage, in words
-    <stream>/segments, <stream>/segments/segment_NNNN   the list of segments; facts of each
+    <stream>/table/{ground, top, walls, pen, patch, ramp}  scenery of the current world
+    <stream>/table/{agent, yellow, green, …}            objects on the table
+    <stream>/table/{trail, move, contacts}              the agent's path; its push; contacts
+    <stream>/series/…, <stream>/threshold               numbers per step; the loss below which a world is learned
+    <stream>/world, <stream>/switches/REASON            current world of the pool; when and why it switched
+    <stream>/world_losses, <stream>/world_loss          loss of every world at each switch, as bars and as lines
+    <stream>/coverage                                   number of steps so far after which the agent was in each cell
+    <stream>/events                                     switches, what got stuck, and damage, as text
+    <stream>/segments, <stream>/segments/segment_NNNN   list of segments; facts about each segment
 """
 
 import math
@@ -25,14 +25,14 @@ import rerun as rr
 from gym_open import progress
 from gym_open.viz.config import VizConfig
 from gym_open.viz.play import events, images, series, table
-from gym_open.viz.play.images import Coverage
-from gym_open.viz.play.streams import ACTION, Span, Stream
+from gym_open.viz.play.images import CoverageMap
+from gym_open.viz.play.streams import ACTION, ShownStream, Span
 from gym_open.viz.view import times
 
 
-def log_stream(rec: rr.RecordingStream, stream: Stream, config: VizConfig) -> None:
-    """Write everything of one stream into the recording, what is known before its steps are read first."""
-    name, tally, coverage = stream.name, events.Tally(rec, stream), Coverage()
+def log_stream(rec: rr.RecordingStream, stream: ShownStream, config: VizConfig) -> None:
+    """Write one stream into the recording, first what is known before its steps are read."""
+    name, counter, coverage = stream.name, events.SegmentCounter(rec, stream), CoverageMap()
     trail = table.Trail(config.trail_steps)
     table.log_table(rec, f"{name}/table")
     table.log_styles(rec, f"{name}/table")
@@ -48,7 +48,7 @@ def log_stream(rec: rr.RecordingStream, stream: Stream, config: VizConfig) -> No
             last = span.steps.stop == stream.steps.stop
             shown = thinned(span, total, config.max_images, last=last)
             if shown.size:
-                images.log_pictures(rec, name, span, shown)
+                images.log_images(rec, name, span, shown)
             poses = thinned(span, total, config.max_poses, last=last)
             _log_table(rec, f"{name}/table", span, poses)
             agent = span.states[:, span.names.index("agent"), :3]
@@ -59,9 +59,9 @@ def log_stream(rec: rr.RecordingStream, stream: Stream, config: VizConfig) -> No
             places = agent[1:, :2]
             coverage.log(rec, name, span.first_step, places, shown)
             events.log_stuck(rec, name, span.stuck)
-            tally.add(span, places)
+            counter.add(span, places)
             bar.advance(len(span.steps))
-    tally.finish()
+    counter.finish()
 
 
 def thinned(span: Span, total: int, limit: int, *, last: bool) -> np.ndarray:
@@ -69,9 +69,9 @@ def thinned(span: Span, total: int, limit: int, *, last: bool) -> np.ndarray:
 
     Args:
         span: the steps to choose from.
-        total: steps of the stream that are to be shown.
-        limit: k = ceil(total / limit).
-        last: whether what is shown ends here, so that the final observation is shown too.
+        total: number of selected steps of the stream.
+        limit: decides k = ceil(total / limit).
+        last: whether the selected steps end with this span, so that the final observation is shown too.
     """
     every = math.ceil(max(total, 1) / limit)
     number = np.arange(len(span.steps))

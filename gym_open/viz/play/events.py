@@ -1,4 +1,4 @@
-"""What happened, in words: switches, what got stuck, damage, the list of segments, and facts about each of them."""
+"""Events as text: switches, what got stuck, damage; and the list of segments with facts about each segment."""
 
 import math
 from collections.abc import Sequence
@@ -9,36 +9,36 @@ import rerun as rr
 from gym_open.formats.logs import Stuck, Switch
 from gym_open.markdown import cell, table
 from gym_open.terminal import printable
-from gym_open.viz.play.images import Coverage
-from gym_open.viz.play.streams import CONTACTS, REWARD, Span, Stay, Stream
+from gym_open.viz.play.images import CoverageMap
+from gym_open.viz.play.streams import CONTACTS, REWARD, ShownSegment, ShownStream, Span
 from gym_open.viz.view import log_document, times
 
 _MOST = 6
-"""Losses that are told of a switch, the highest first."""
+"""Number of losses in the text of a switch, from the highest."""
 _HOW = """\
-A segment is play in one world without interruption. What came of it stands in the entity of its name, which the link
-is to: select it there, or under `stream_{stream}/segments` in the list of streams (the panel at the bottom), and look
-at the selection panel (at the right edge). One segment alone is opened with `--stream {stream} --segment NUMBER`.
-*Loss in* and *out* are the losses of its world when it was entered and left: *new* if it was never visited before, *–*
-if it is not known."""
+A segment consists of uninterrupted steps in one world. Each number links to an entity with facts about the segment. To
+see them, follow the link, or select the entity under `stream_{stream}/segments` in the list of streams (bottom panel),
+and look at the selection panel (right edge). To open a single segment, use `--stream {stream} --segment NUMBER`.
+*Loss in* and *out* are the losses of the world at the start and at the end of the segment: *new* means that the world
+was never visited before, *–* that the loss is unknown."""
 MOST_LISTED = 300
-"""Segments of a document: Rerun draws all of it in every frame."""
+"""Limit of segments in the document: Rerun draws a whole document in every frame."""
 
 
-def log_switches(rec: rr.RecordingStream, stream: Stream) -> None:
-    """Log every switch among the steps shown, and the damage behind the last of them."""
+def log_switches(rec: rr.RecordingStream, stream: ShownStream) -> None:
+    """Log every switch in the shown steps, and the damage after the last step."""
     switches = stream.shown_switches()
     _log(rec, stream.name, [item.step for item in switches], [describe(item) for item in switches], "INFO")
     if stream.damage is not None:
-        words = f"the log ends here, after step {stream.steps.stop - 1}: {printable(stream.damage)}"
+        words = f"the log is damaged after step {stream.steps.stop - 1}: {printable(stream.damage)}"
         _log(rec, stream.name, [stream.steps.stop], [words], "ERROR")
 
 
 def log_stuck(rec: rr.RecordingStream, stream: str, stuck: Sequence[Stuck]) -> None:
-    """Log what began or ceased to be stuck."""
+    """Log the objects that got stuck or free again."""
     for began, level in ((True, "WARN"), (False, "INFO")):
-        some = [one for one in stuck if one.began == began]
-        _log(rec, stream, [one.step for one in some], [describe_stuck(one) for one in some], level)
+        some = [item for item in stuck if item.began == began]
+        _log(rec, stream, [item.step for item in some], [describe_stuck(item) for item in some], level)
 
 
 def _log(rec: rr.RecordingStream, stream: str, steps: Sequence[int], texts: Sequence[str], level: str) -> None:
@@ -48,7 +48,7 @@ def _log(rec: rr.RecordingStream, stream: str, steps: Sequence[int], texts: Sequ
 
 
 def describe(switch: Switch) -> str:
-    """A switch in words, with the highest losses that it was decided by, if there were any."""
+    """Describe a switch, with the highest losses at that step if there are any."""
     known = sorted(
         ((loss, world) for world, loss in enumerate(switch.world_losses) if math.isfinite(loss)), reverse=True
     )
@@ -57,109 +57,111 @@ def describe(switch: Switch) -> str:
     unseen = sum(map(math.isinf, switch.world_losses))
     if not known and not unseen:
         return f"{start} → {goal} ({switch.reason}); no world model"
-    told = ", ".join(f"{world}: {loss:.2g}" for loss, world in known[:_MOST])
+    losses = ", ".join(f"{world}: {loss:.2g}" for loss, world in known[:_MOST])
     rest = f", {len(known) - _MOST} lower" if len(known) > _MOST else ""
-    return f"{start} → {goal} ({switch.reason}); losses {told or 'none yet'}{rest}; {unseen} worlds never visited"
+    return f"{start} → {goal} ({switch.reason}); losses {losses or 'none yet'}{rest}; {unseen} worlds never visited"
 
 
 def describe_stuck(stuck: Stuck) -> str:
-    """Who is stuck or free again, and where, in metres."""
+    """Describe what is stuck or free again, and where."""
     how = ("stuck in a corner" if stuck.kind == "corner" else "stuck") if stuck.began else "free again"
     return printable(f"{stuck.name} {how} at ({stuck.position[0]:.2f}, {stuck.position[1]:.2f}) m")
 
 
 def segment_entity(stream: str, number: int) -> str:
-    """Entity with the facts of a segment."""
+    """Entity with the facts about a segment."""
     return f"{stream}/segments/segment_{number:04d}"
 
 
-def log_list(rec: rr.RecordingStream, stream: Stream) -> None:
-    """Log the document: a row a segment, each with a link to its entity."""
+def log_list(rec: rr.RecordingStream, stream: ShownStream) -> None:
+    """Log the list of segments."""
     log_document(rec, f"{stream.name}/segments", list_of(stream))
 
 
-def list_of(stream: Stream) -> str:
-    """The document, in Markdown."""
-    stays = stream.shown_stays()
+def list_of(stream: ShownStream) -> str:
+    """A Markdown table with one row per segment and a link to the segment's entity."""
+    segments = stream.shown_segments()
     losses = bool(stream.with_losses())
     head = ["", "world", "from", "steps", *(["loss in", "out"] if losses else []), "ended"]
     rows = [
         [
-            f"[{stay.number}](recording://{segment_entity(stream.name, stay.number)})",
-            str(stay.world),
-            f"{stay.steps.start:,}",
-            f"{len(stay.steps):,}",
-            *([loss_text(stay.loss_at_entry), loss_text(stay.loss_at_exit)] if losses else []),
-            cell(stay.ended or "goes on"),
+            f"[{item.number}](recording://{segment_entity(stream.name, item.number)})",
+            str(item.world),
+            f"{item.steps.start:,}",
+            f"{len(item.steps):,}",
+            *([loss_text(item.loss_at_entry), loss_text(item.loss_at_exit)] if losses else []),
+            cell(item.ended or "goes on"),
         ]
-        for stay in stays[:MOST_LISTED]
+        for item in segments[:MOST_LISTED]
     ]
     lines = [
-        f"# Segments of stream {stream.number}: {len(stays)}",
+        f"# Segments of stream {stream.number}: {len(segments)}",
         _HOW.format(stream=stream.number),
         "",
         *table(head, rows),
     ]
-    if len(stays) > MOST_LISTED:
-        lines.append(f"\n{len(stays) - MOST_LISTED} more are in the events and under `{stream.name}/segments`.")
+    if len(segments) > MOST_LISTED:
+        lines.append(
+            f"\n{len(segments) - MOST_LISTED} more segments are in the events and under `{stream.name}/segments`."
+        )
     return "\n".join(lines)
 
 
 def loss_text(loss: float) -> str:
-    """A loss of a world in a few characters."""
+    """A short text for the loss of a world."""
     if math.isnan(loss):
         return "–"
     return "new" if math.isinf(loss) else f"{loss:.2g}"
 
 
-class Tally:
-    """Counts what comes of segments, span by span, and logs each when it is over."""
+class SegmentCounter:
+    """Count facts about segments, span by span, and log them at the end of each segment."""
 
-    def __init__(self, rec: rr.RecordingStream, stream: Stream) -> None:
+    def __init__(self, rec: rr.RecordingStream, stream: ShownStream) -> None:
         self._rec, self._stream = rec, stream
-        self._stays = {stay.number: stay for stay in stream.stays}
+        self._segments = {segment.number: segment for segment in stream.segments}
         self._spans: list[Span] = []
         self._facts: dict[str, float] = {}
-        self._coverage = Coverage()
+        self._coverage = CoverageMap()
 
     def add(self, span: Span, places: np.ndarray) -> None:
-        """Count a span; `places` (T, 2 or more) is where the agent was after each step."""
+        """Count a span; `places` are the agent's positions after each step, (T, 2 or more)."""
         if self._spans and self._spans[-1].segment != span.segment:
             self.finish()
         if not self._spans:
-            self._coverage, self._facts = Coverage(), {"steps": 0.0, "reward": 0.0, "contacts": 0.0, "stuck": 0.0}
+            self._coverage, self._facts = CoverageMap(), {"steps": 0.0, "reward": 0.0, "contacts": 0.0, "stuck": 0.0}
         self._spans = [span]
         self._coverage.add(places)
         self._facts["steps"] += len(span.steps)
         self._facts["reward"] += float(np.nansum(span.series[REWARD]))
         self._facts["contacts"] += float(np.nansum(span.series[CONTACTS]))
-        self._facts["stuck"] += sum(one.began for one in span.stuck)
+        self._facts["stuck"] += sum(item.began for item in span.stuck)
 
     def finish(self) -> None:
-        """Log the segment that is counted, if there is one."""
+        """Log the current segment, if there is one."""
         if not self._spans:
             return
         span, facts = self._spans.pop(), self._facts
-        stay = self._stays.get(span.segment)
+        segment = self._segments.get(span.segment)
         components: dict[str, object] = {
             "world": span.world,
-            "continued": "yes: from where it was left" if span.continued else "no: from its puzzle's layout",
+            "continued": "yes: from the world's last state" if span.continued else "no: from the puzzle's layout",
             "steps_shown": int(facts["steps"]),
             "mean_intrinsic_reward": facts["reward"] / max(facts["steps"], 1),
             "contacts": int(facts["contacts"]),
             "times_stuck": int(facts["stuck"]),
             "cells_visited": int((self._coverage.counts > 0).sum()),
-            **(_of_stay(stay) if stay else {}),
+            **(_segment_facts(segment) if segment else {}),
         }
-        facts_of = rr.DynamicArchetype("Segment", components=components)
-        self._rec.log(segment_entity(self._stream.name, span.segment), facts_of, static=True)
+        archetype = rr.DynamicArchetype("Segment", components=components)
+        self._rec.log(segment_entity(self._stream.name, span.segment), archetype, static=True)
 
 
-def _of_stay(stay: Stay) -> dict[str, object]:
+def _segment_facts(segment: ShownSegment) -> dict[str, object]:
     return {
-        "first_step": stay.steps.start,
-        "steps": len(stay.steps),
-        "ended": stay.ended or "goes on",
-        "loss_at_entry": stay.loss_at_entry,
-        "loss_at_exit": stay.loss_at_exit,
+        "first_step": segment.steps.start,
+        "steps": len(segment.steps),
+        "ended": segment.ended or "goes on",
+        "loss_at_entry": segment.loss_at_entry,
+        "loss_at_exit": segment.loss_at_exit,
     }

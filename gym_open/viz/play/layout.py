@@ -1,4 +1,4 @@
-"""How play is laid out on the screen: a tab a stream; what is not there has no place."""
+"""The screen of a log or release, with one tab per stream; data that was not recorded has no view."""
 
 from collections.abc import Sequence
 
@@ -6,11 +6,11 @@ import rerun.blueprint as rrb
 
 from gym_open.viz.play.images import DEPTH, IMAGE, SEGMENTATION
 from gym_open.viz.play.series import series_entity
-from gym_open.viz.play.streams import ACTION, CONTACTS, ENTROPY, LOSS, PART, REWARD, VALUE, Stream
+from gym_open.viz.play.streams import ACTION, CONTACTS, ENTROPY, LOSS, PART, REWARD, VALUE, ShownStream
 
 
-def blueprint(streams: Sequence[Stream]) -> rrb.Blueprint:
-    """What was seen and the table on the left, curves in the middle, words on the right."""
+def blueprint(streams: Sequence[ShownStream]) -> rrb.Blueprint:
+    """Images and the table on the left, curves in the middle, texts on the right."""
     tabs = [_stream(item) for item in streams]
     return rrb.Blueprint(
         tabs[0] if len(tabs) == 1 else rrb.Tabs(*tabs, name="streams"),
@@ -21,9 +21,9 @@ def blueprint(streams: Sequence[Stream]) -> rrb.Blueprint:
     )
 
 
-def _stream(stream: Stream) -> rrb.Horizontal:
+def _stream(stream: ShownStream) -> rrb.Horizontal:
     return rrb.Horizontal(
-        _seen(stream),
+        _images(stream),
         rrb.Vertical(*_curves(stream)),
         _words(stream),
         column_shares=[5 if stream.depth or stream.segmentation else 4, 4, 3],
@@ -31,27 +31,27 @@ def _stream(stream: Stream) -> rrb.Horizontal:
     )
 
 
-def _seen(stream: Stream) -> rrb.Vertical:
+def _images(stream: ShownStream) -> rrb.Vertical:
     name = f"/{stream.name}"
-    pictures = [rrb.Spatial2DView(origin=f"{name}/{IMAGE}", name="observation")]
+    images = [rrb.Spatial2DView(origin=f"{name}/{IMAGE}", name="observation")]
     if stream.depth:
-        pictures.append(rrb.Spatial2DView(origin=f"{name}/{DEPTH}", name="depth (m)"))
+        images.append(rrb.Spatial2DView(origin=f"{name}/{DEPTH}", name="depth (m)"))
     if stream.segmentation:
-        pictures.append(rrb.Spatial2DView(origin=f"{name}/{SEGMENTATION}", name="segmentation"))
+        images.append(rrb.Spatial2DView(origin=f"{name}/{SEGMENTATION}", name="segmentation"))
     mapping = rrb.TensorScalarMapping(colormap="viridis", mag_filter="nearest", gamma=0.5)
     coverage = rrb.TensorView(
         origin=f"{name}/coverage", name="coverage", scalar_mapping=mapping, view_fit="FillKeepAspectRatio"
     )
     table = rrb.Spatial3DView(origin=f"{name}/table", name="table")
-    if len(pictures) == 1:
-        return rrb.Vertical(rrb.Horizontal(*pictures, coverage, column_shares=[3, 2]), table, row_shares=[2, 3])
+    if len(images) == 1:
+        return rrb.Vertical(rrb.Horizontal(*images, coverage, column_shares=[3, 2]), table, row_shares=[2, 3])
     return rrb.Vertical(
-        rrb.Horizontal(*pictures), rrb.Horizontal(table, coverage, column_shares=[3, 1]), row_shares=[2, 3]
+        rrb.Horizontal(*images), rrb.Horizontal(table, coverage, column_shares=[3, 1]), row_shares=[2, 3]
     )
 
 
-def _curves(stream: Stream) -> list[rrb.TimeSeriesView]:
-    """A plot of each group of series of which one is known."""
+def _curves(stream: ShownStream) -> list[rrb.TimeSeriesView]:
+    """One plot per group of series, if at least one series of the group is known."""
     name = f"/{stream.name}"
     parts = [PART + part for part in stream.reward_parts]
     known = {
@@ -62,11 +62,11 @@ def _curves(stream: Stream) -> list[rrb.TimeSeriesView]:
     reward = [known[series] for series in (REWARD, *parts) if series in known]
     views: list[rrb.TimeSeriesView] = []
     if reward:
-        views.append(_plot("intrinsic reward, and what it is made of", *reward))
+        views.append(_plot("intrinsic reward and its parts", *reward))
     if LOSS in known:
         title = "world-model loss" if stream.threshold is None else "world-model loss, and the threshold"
         views.append(_plot(title, known[LOSS], f"{name}/threshold"))
-    worlds = [stay.world for stay in stream.shown_stays()] + [
+    worlds = [segment.world for segment in stream.shown_segments()] + [
         switch.to_world for switch in stream.shown_switches() if switch.to_world >= 0
     ]
     views.append(
@@ -85,7 +85,7 @@ def _curves(stream: Stream) -> list[rrb.TimeSeriesView]:
     return views
 
 
-def _words(stream: Stream) -> rrb.Vertical:
+def _words(stream: ShownStream) -> rrb.Vertical:
     name = f"/{stream.name}"
     events = rrb.TextLogView(origin=f"{name}/events", name="events")
     documents = rrb.Tabs(
@@ -102,7 +102,7 @@ def _words(stream: Stream) -> rrb.Vertical:
 def _plot(
     title: str, *entities: str, legend: bool = True, span: tuple[float, float] | None = None
 ) -> rrb.TimeSeriesView:
-    """A plot of the entities; `span` is the range of its scalar axis, else that of the data."""
+    """A plot of the entities; `span` is the range of the vertical axis, by default that of the data."""
     corner = rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend)
-    axis = rrb.ScalarAxis(range=span) if span else None  # an empty one makes Rerun warn
+    axis = rrb.ScalarAxis(range=span) if span else None  # Rerun warns about an axis without a range
     return rrb.TimeSeriesView(contents=list(entities), name=title, plot_legend=corner, axis_y=axis)

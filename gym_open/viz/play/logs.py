@@ -1,4 +1,4 @@
-"""Streams of a log: a folder, finished or not, or one file; of a damaged one, what stands before the damage."""
+"""Read streams from a log: a folder (also an unfinished one) or a single file; a damaged log up to the damage."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -15,30 +15,30 @@ from gym_open.viz.play.streams import (
     ACTION,
     CONTACTS,
     ENTROPY,
-    GLANCE,
     LOSS,
     PART,
-    PIECE,
+    PREVIEW_STEPS,
     REWARD,
+    SPAN_STEPS,
     VALUE,
+    ShownSegment,
+    ShownStream,
     Span,
-    Stay,
-    Stream,
     known_of,
     overlap,
-    stays_of,
+    segments_of,
 )
 
 
-def open_streams(source: Path, only: int | None = None) -> list[Stream]:
-    """The streams of the log at `source`, or the one of a single file; all bytes are checked, few are unpacked.
+def open_streams(source: Path, only: int | None = None) -> list[ShownStream]:
+    """Open the streams of the log at `source`; this checks all bytes, but decodes only a few.
 
     Args:
         source: folder or file.
-        only: number of a stream; others are not opened, if it is there.
+        only: number of the only stream to open; if there is no such stream, all are opened.
 
     Raises:
-        ArtefactError: if there is no log, or one in which no step is whole.
+        ArtefactError: if there is no log, or the log has no complete step.
     """
     if source.is_file():
         return [_stream(open_whole_part([source]))]
@@ -47,22 +47,22 @@ def open_streams(source: Path, only: int | None = None) -> list[Stream]:
     return [_stream(open_whole_part(list(found[stream].values()))) for stream in wanted]
 
 
-def _stream(log: Log) -> Stream:
-    first = next(log.segments(GLANCE), None)
+def _stream(log: Log) -> ShownStream:
+    first = next(log.segments(PREVIEW_STEPS), None)
     if first is None or not len(first.actions):
-        raise LogError(f"{log.path}: no step of it is whole; there is nothing to see ({log.damage or 'no play in it'})")
+        raise LogError(f"{log.path}: no complete step, so nothing can be shown ({log.damage or 'it has no steps'})")
     _check_agent(log, first)
     steps = range(first.first_step, first.first_step + log.n_steps)
-    begun = Stay(first.index, first.world, steps, None, math.nan, math.nan)
+    begun = ShownSegment(first.index, first.world, steps, None, math.nan, math.nan)
     series = _series(first)
-    return Stream(
+    return ShownStream(
         number=log.stream,
         steps=steps,
         config=log.config,
         worlds=len(log.puzzles),
         reward_parts=log.reward_parts,
         switches=log.switches,
-        stays=stays_of(begun, log.switches, steps.stop),
+        segments=segments_of(begun, log.switches, steps.stop),
         known=known_of(series),
         spans=lambda wanted: _spans(log, wanted, steps),
         depth=first.depth is not None,
@@ -78,12 +78,12 @@ def _check_agent(log: Log, item: Segment) -> None:
 
 
 def geom_names() -> list[str]:
-    """What geoms of the default world's model belong to, by number, such as `agent`, `heavy_3`, `seen_wall_east`."""
+    """Names of the objects that the default world's geoms belong to, such as `agent`, `heavy_3`, `seen_wall_east`."""
     return thing_names(build_model(WorldOptions()))
 
 
 def _spans(log: Log, wanted: range, all_steps: range) -> Iterator[Span]:
-    for item in log.segments(PIECE, None if wanted == all_steps else wanted):
+    for item in log.segments(SPAN_STEPS, None if wanted == all_steps else wanted):
         steps = overlap(wanted, range(item.first_step, item.first_step + len(item.actions)))
         if not steps:
             continue
@@ -99,7 +99,7 @@ def _spans(log: Log, wanted: range, all_steps: range) -> Iterator[Span]:
             states=item.object_state[start : stop + 1],
             series={name: values[start:stop] for name, values in _series(item).items()},
             pngs=_encoder(item.images[start : stop + 1]),
-            stuck=[one for one in log.stuck if steps.start < one.step <= steps.stop],
+            stuck=[change for change in log.stuck if steps.start < change.step <= steps.stop],
             begins=steps.start in (wanted.start, item.first_step - item.segment_step),
             contacts=item.contacts[start:stop],
             depth=None if item.depth is None else item.depth[start : stop + 1],

@@ -1,4 +1,4 @@
-"""`view(config, source, choice)`: a log, a release, or part of one, to look at."""
+"""The view of a log, a release, or a part of one."""
 
 from pathlib import Path
 
@@ -14,31 +14,31 @@ from gym_open.viz.config import Choice, VizConfig
 from gym_open.viz.play import logs, releases
 from gym_open.viz.play.drawing import log_stream
 from gym_open.viz.play.layout import blueprint
-from gym_open.viz.play.streams import Stream, chosen
+from gym_open.viz.play.streams import ShownStream, chosen
 from gym_open.viz.view import View, log_document
 
 _CACHED_GROUPS = 2
-"""Row groups of a release whose pictures are in memory: each is read once, in order."""
+"""Row groups of a release with their images in memory; each group is read once, in order."""
 
 
 def view(config: VizConfig, source: Path, choice: Choice) -> View:
-    """What was played: every stream of it, or what was picked.
+    """The view of all streams, or of the selected part.
 
     Args:
-        config: how much of it to show.
-        source: a log (its folder, finished or not, whole or damaged, or one `.mcap`) or a release.
-        choice: a stream; a segment or steps of the streams; of a release an episode.
+        config: how much to show.
+        source: a log (its folder, also unfinished or damaged, or one `.mcap` file) or a release.
+        choice: a stream; a segment or steps of the streams; or an episode of a release.
 
     Raises:
-        ArtefactError: if there is no log or release, or nothing of it is whole.
-        UsageError: if what was picked is not there, or cannot be picked of it.
+        ArtefactError: if there is no log or release, or it has no complete step.
+        UsageError: if the selected part does not exist, or the choice does not apply to the source.
     """
     title, streams = open_streams(source, choice)
     record = _lineage(source)
 
     def fill(rec: rr.RecordingStream) -> None:
-        told = {"kind": "not an artefact, or not a finished one", "file or folder": source.name}
-        log_document(rec, "about/lineage", documents.lineage(f"Lineage of {title}", record, told))
+        facts = {"kind": "not an artefact, or an unfinished one", "file or folder": source.name}
+        log_document(rec, "about/lineage", documents.lineage(f"Lineage of {title}", record, facts))
         for stream in streams:
             document = documents.settings(f"{title}, stream {stream.number}", _facts(stream), stream.config)
             log_document(rec, f"{stream.name}/about/settings", document)
@@ -47,8 +47,8 @@ def view(config: VizConfig, source: Path, choice: Choice) -> View:
     return View(title, fill, blueprint(streams))
 
 
-def open_streams(source: Path, choice: Choice) -> tuple[str, list[Stream]]:
-    """What it is called, and its streams or what was picked of them; raises what `view` does."""
+def open_streams(source: Path, choice: Choice) -> tuple[str, list[ShownStream]]:
+    """Title of the source, and its streams or their selected part; raises the errors of `view`."""
     if _is_release(source):
         choice.refuse_others("a release", {"stream", "segment", "steps", "episode"})
         checked = open_release(source)
@@ -68,19 +68,19 @@ def _is_release(source: Path) -> bool:
 
 
 def _lineage(source: Path) -> artefacts.Lineage | None:
-    """What an artefact says of itself; None of what is no artefact, or of a log that is damaged there."""
+    """The lineage of an artefact; None without one, or if the lineage of a log is damaged."""
     try:
         return artefacts.lineage(source) if (source / artefacts.LINEAGE).is_file() else None
     except ArtefactError:
-        return None  # a release would have been refused before: see `recording.kind_of`
+        return None  # `recording.kind_of` has already refused a damaged release
 
 
-def _facts(stream: Stream) -> dict[str, object]:
+def _facts(stream: ShownStream) -> dict[str, object]:
     facts: dict[str, object] = {"damaged": stream.damage} if stream.damage else {}
     return facts | {
         "steps shown": f"{stream.steps.start:,} to {stream.steps.stop - 1:,}",
-        "segments shown": len(stream.shown_stays()),
+        "segments shown": len(stream.shown_segments()),
         "worlds of the pool": stream.worlds,
-        "coverage": f"steps in each cell, {100 * PITCH:.1f} cm wide",
+        "coverage": f"steps in each cell of {100 * PITCH:.1f} cm",
         "threshold of the loss": "none" if stream.threshold is None else stream.threshold,
     }

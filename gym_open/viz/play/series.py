@@ -1,11 +1,11 @@
-"""Numbers over time: what a step has, the curriculum's lane, and the losses of all worlds that it decided by."""
+"""Numbers over time: the series of the steps, the current world, and the losses of all worlds at each switch."""
 
 import numpy as np
 import rerun as rr
 from rerun.components import MarkerShape
 
 from gym_open.terminal import printable
-from gym_open.viz.play.streams import ACTION, CONTACTS, ENTROPY, LOSS, PART, REWARD, VALUE, Span, Stream
+from gym_open.viz.play.streams import ACTION, CONTACTS, ENTROPY, LOSS, PART, REWARD, VALUE, ShownStream, Span
 from gym_open.viz.view import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, YELLOW, tensors, times
 
 LINES = {
@@ -15,7 +15,7 @@ LINES = {
     VALUE: ("value", ORANGE),
     CONTACTS: ("contacts", ORANGE),
 }
-"""What a series is called in a plot's legend, and its colour: the second of a pair in one plot has another."""
+"""Name in the legend and colour of a series; two series of one plot have different colours."""
 _PARTS = (ORANGE, GREEN, PURPLE, YELLOW, SKY)
 _REASONS = {
     "start": (GREY, MarkerShape.Circle),
@@ -28,16 +28,16 @@ _REASONS = {
     "terminated": (VERMILION, MarkerShape.Down),
     "cut": (VERMILION, MarkerShape.Down),
 }
-"""Colour and marker of a switch, by its reason."""
+"""Colour and marker of a switch by its reason."""
 
 
 def series_entity(stream: str, name: str) -> str:
-    """Entity of a series, whatever its name holds."""
+    """Entity of a series; special characters of the name are escaped."""
     return f"{stream}/series/" + "/".join(rr.escape_entity_path_part(part) for part in name.split("/", maxsplit=1))
 
 
-def log_styles(rec: rr.RecordingStream, stream: Stream) -> None:
-    """Log name and colour of every series."""
+def log_styles(rec: rr.RecordingStream, stream: ShownStream) -> None:
+    """Log the name and colour of every series."""
     name = stream.name
     for series, (label, colour) in LINES.items():
         rec.log(series_entity(name, series), rr.SeriesLines(names=label, colors=colour), static=True)
@@ -49,14 +49,14 @@ def log_styles(rec: rr.RecordingStream, stream: Stream) -> None:
 
 
 def log_series(rec: rr.RecordingStream, stream: str, span: Span, numbers: np.ndarray) -> None:
-    """Log every series of the span at its steps of these numbers (0…T − 1)."""
+    """Log every series of the span at the steps with these numbers (0…T − 1)."""
     at = times(span.first_step + numbers)
     for name, values in span.series.items():
         rec.send_columns(series_entity(stream, name), at, rr.Scalars.columns(scalars=values[numbers]))
 
 
-def log_curriculum(rec: rr.RecordingStream, stream: Stream) -> None:
-    """Log which world the stream is in, when it switched and why, and the losses of all worlds at each switch."""
+def log_curriculum(rec: rr.RecordingStream, stream: ShownStream) -> None:
+    """Log the current world, each switch with its reason, and the losses of all worlds at each switch."""
     name, switches = stream.name, stream.shown_switches()
     _log_lane(rec, stream)
     for reason in {item.reason for item in switches}:
@@ -69,26 +69,28 @@ def log_curriculum(rec: rr.RecordingStream, stream: Stream) -> None:
         rec.send_columns(f"{name}/switches/{reason}", at, rr.Scalars.columns(scalars=worlds))
     if stream.threshold is not None:
         line = rr.Scalars.columns(scalars=[stream.threshold] * 2)
-        style = rr.SeriesLines(names="threshold: learned", colors=VERMILION, widths=3)  # at a plot's edge half is seen
+        style = rr.SeriesLines(
+            names="threshold: learned", colors=VERMILION, widths=3
+        )  # at the edge of a plot only half of it is visible
         rec.log(f"{name}/threshold", style, static=True)
         rec.send_columns(f"{name}/threshold", times([stream.steps.start, stream.steps.stop]), line)
     _log_world_losses(rec, stream)
 
 
-def _log_lane(rec: rr.RecordingStream, stream: Stream) -> None:
-    stays = [stay for stay in stream.shown_stays() if stay.steps]
-    style = rr.SeriesLines(names="world", colors=GREY, aggregation_policy="off")  # else edges turn slanted
+def _log_lane(rec: rr.RecordingStream, stream: ShownStream) -> None:
+    segments = [segment for segment in stream.shown_segments() if segment.steps]
+    style = rr.SeriesLines(names="world", colors=GREY, aggregation_policy="off")  # aggregation would slant the edges
     rec.log(f"{stream.name}/world", style, static=True)
-    ends = [step for stay in stays for step in (stay.steps.start, stay.steps.stop - 1)]
+    ends = [step for segment in segments for step in (segment.steps.start, segment.steps.stop - 1)]
     inside = np.clip(ends, stream.steps.start, stream.steps.stop - 1)
-    lane = rr.Scalars.columns(scalars=[stay.world for stay in stays for _ in range(2)])
+    lane = rr.Scalars.columns(scalars=[segment.world for segment in segments for _ in range(2)])
     rec.send_columns(f"{stream.name}/world", times(inside), lane)
 
 
-def _log_world_losses(rec: rr.RecordingStream, stream: Stream) -> None:
-    """As bars, all worlds at one switch, and as a line for each world; a gap where it was not visited yet.
+def _log_world_losses(rec: rr.RecordingStream, stream: ShownStream) -> None:
+    """Log the losses of all worlds at each switch as bars, and as one line per world, with gaps before its first visit.
 
-    Those of the last switch before what is shown stand where that begins.
+    The losses of the last switch before the shown steps are logged at the first shown step.
     """
     every = stream.with_losses()
     switches = [
@@ -105,7 +107,7 @@ def _log_world_losses(rec: rr.RecordingStream, stream: Stream) -> None:
     worlds = losses.shape[1]
     colours = [(BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILION, YELLOW)[world % 7] for world in range(worlds)]
     names = [f"world {world}" for world in range(worlds)]
-    alone = len(switches) == 1  # of which a line shows nothing
+    alone = len(switches) == 1  # a line needs two points
     style = (
         rr.SeriesPoints(names=names, colors=colours, marker_sizes=4)
         if alone

@@ -1,4 +1,4 @@
-"""Logs and releases as one thing to look at: streams of spans, a span being uninterrupted steps in one world."""
+"""The common form of logs and releases: streams of spans, where a span is a run of uninterrupted steps in one world."""
 
 import math
 import sys
@@ -18,51 +18,52 @@ from gym_open.viz.config import Choice
 REWARD, LOSS, ENTROPY, VALUE, CONTACTS, ACTION = (
     "intrinsic_reward", "world_model_loss", "entropy", "value", "contacts", "action",
 )  # fmt: skip
-"""Numbers a step, by the names they have in a recording."""
+"""Series: numbers of each step, by their names in a recording."""
 PART = "reward_part/"
-"""What a part of the intrinsic reward is called there, with its name after it."""
-PIECE = 1000
-"""Steps that are in memory at a time."""
-GLANCE = 64
-"""Steps that are read to see what is recorded at all."""
+"""Prefix of the names of parts of the intrinsic reward."""
+SPAN_STEPS = 1000
+"""Limit of steps in memory."""
+PREVIEW_STEPS = 64
+"""Steps that are read to find out what was recorded."""
 
 
-class Stay(NamedTuple):
-    """A segment: steps in a world without interruption."""
+class ShownSegment(NamedTuple):
+    """A segment: uninterrupted steps in one world between switches."""
 
     number: int
     world: int
     steps: range
-    """Of the stream."""
+    """Steps of the stream."""
     ended: str | None
-    """None if it goes on behind what is here."""
+    """Reason of the end; None if the segment goes on after the end of the source."""
     loss_at_entry: float
-    """Loss of the world when it was entered: infinite if it never was before, NaN if not known."""
+    """Loss of the world at the start: infinite before its first visit, NaN if unknown."""
     loss_at_exit: float
+    """Loss of the world at the end; NaN if unknown."""
 
 
 class Span(msgspec.Struct, frozen=True, eq=False):
-    """T steps and T + 1 observations."""
+    """T uninterrupted steps in one world, and T + 1 observations."""
 
     segment: int
     world: int
     puzzle: Puzzle
     continued: bool
-    """Whether the segment went on from where the world had been left."""
+    """Whether the segment began with the last state of its world, not with the puzzle's layout."""
     first_step: int
     names: tuple[str, ...]
     states: np.ndarray
     """(T + 1, objects, 13)."""
     series: dict[str, np.ndarray]
-    """Each (T,): action, reward, its parts, loss, entropy, value, number of contacts."""
+    """Each (T,): action, reward, parts of the reward, loss, entropy, value, number of contacts."""
     pngs: Callable[[np.ndarray], list[bytes]]
-    """PNG files of the observations of these numbers, 0…T."""
+    """Gives PNG files of the observations with these numbers, 0…T."""
     stuck: Sequence[Stuck]
-    """What began or ceased to be stuck in it."""
+    """Objects that got stuck or free again."""
     begins: bool
-    """Whether the segment is shown from here on."""
+    """Whether this is the first shown span of its segment."""
     contacts: Sequence[tuple[Contact, ...]] | None = None
-    """T of them, if what is looked at tells more than their number."""
+    """Contacts of each step; None if the source has only their number."""
     depth: np.ndarray | None = None
     """(T + 1, 84, 84) float32 metres, if recorded."""
     segmentation: np.ndarray | None = None
@@ -74,134 +75,135 @@ class Span(msgspec.Struct, frozen=True, eq=False):
         return range(self.first_step, self.first_step + len(self.states) - 1)
 
 
-class Stream(msgspec.Struct, frozen=True, eq=False):
-    """One stream of play, or part of one."""
+class ShownStream(msgspec.Struct, frozen=True, eq=False):
+    """One stream of a log or release, or its selected part."""
 
     number: int
     steps: range
-    """Those to be shown."""
+    """Steps to show."""
     config: Mapping[str, Any]
-    """What made it."""
+    """Configuration of the exploration run."""
     worlds: int
-    """Of the pool."""
+    """Number of worlds in the pool."""
     reward_parts: tuple[str, ...]
     switches: Sequence[Switch]
-    """All of the stream."""
-    stays: Sequence[Stay]
-    """All of the stream."""
+    """All switches of the stream, also those outside `steps`."""
+    segments: Sequence[ShownSegment]
+    """All segments of the stream, also those outside `steps`."""
     known: frozenset[str]
-    """Series that hold anything, as `known_of` tells of where the stream begins."""
+    """Names of the series with data; see `known_of`."""
     spans: Callable[[range], Iterator[Span]]
-    """Those that hold these steps, cut to them."""
+    """Reads the spans of a range of steps."""
     depth: bool = False
+    """Whether depth was recorded."""
     segmentation: bool = False
-    """Whether they are recorded."""
+    """Whether segmentation was recorded."""
     geoms: Sequence[str] = ()
-    """What the geoms of a segmentation are called, by number, if that is known."""
+    """Names of the segmentation's geoms by number, if known."""
     damage: str | None = None
-    """Why nothing comes after the last step, if more was to come."""
+    """Why steps after the last one are missing; None if the source is complete."""
 
     @property
     def name(self) -> str:
-        """Entity that all of the stream is under."""
+        """Entity of the stream."""
         return f"stream_{self.number}"
 
     @property
     def threshold(self) -> float | None:
-        """World-model loss under which a world is learned, if the curriculum looks at it."""
+        """World-model loss below which a world counts as learned, if the curriculum uses the loss."""
         curriculum = self.config.get("curriculum")
         if not isinstance(curriculum, Mapping) or curriculum.get("rule") != "loss":
             return None
         threshold = curriculum.get("threshold")
-        if not isinstance(threshold, int | float) or not abs(threshold) <= sys.float_info.max:  # NaN is not, either
+        if not isinstance(threshold, int | float) or not abs(threshold) <= sys.float_info.max:  # refuses NaN, too
             return None
         return float(threshold)
 
-    def shown_stays(self) -> list[Stay]:
-        """Segments that have a step among those to be shown."""
-        return [stay for stay in self.stays if overlap(stay.steps, self.steps)]
+    def shown_segments(self) -> list[ShownSegment]:
+        """Segments with at least one shown step."""
+        return [segment for segment in self.segments if overlap(segment.steps, self.steps)]
 
     def shown_switches(self) -> list[Switch]:
-        """Switches within the steps to be shown, the one at their end included."""
+        """Switches within the shown steps, including a switch at their end."""
         return [item for item in self.switches if self.steps.start <= item.step <= self.steps.stop]
 
     def with_losses(self) -> list[Switch]:
-        """Of all switches up to the end of what is shown, those that tell a loss of any world that was visited."""
+        """Switches up to the end of the shown steps that have a loss of at least one world."""
         before = (item for item in self.switches if item.step <= self.steps.stop)
         return [item for item in before if any(map(math.isfinite, item.world_losses))]
 
 
 def known_of(series: Mapping[str, np.ndarray]) -> frozenset[str]:
-    """Names of the series that hold anything but NaN; the reward, if it is not 0 for want of any part."""
+    """Names of the series with values other than NaN; a reward of only zeros counts only if it has parts."""
     known = {name for name, values in series.items() if not np.isnan(values).all()}
     has_parts = any(name.startswith(PART) for name in series)
     return frozenset(known if has_parts or series[REWARD].any() else known - {REWARD})
 
 
 def overlap(a: range, b: range) -> range:
-    """The steps that are in both; empty if none is."""
+    """The steps in both ranges; empty if there are none."""
     return range(max(a.start, b.start), max(a.start, b.start, min(a.stop, b.stop)))
 
 
-def chosen(streams: Iterable[Stream], choice: Choice, source: Path) -> list[Stream]:
-    """The streams that `choice` picks, cut to the steps that it picks.
+def chosen(streams: Iterable[ShownStream], choice: Choice, source: Path) -> list[ShownStream]:
+    """Select streams, and cut them to the selected steps.
 
     Raises:
         UsageError: if there is no such stream, segment or step.
     """
-    there = list(streams)
-    numbers = [stream.number for stream in there]
+    opened = list(streams)
+    numbers = [stream.number for stream in opened]
     if choice.stream is not None and choice.stream not in numbers:
         raise UsageError(f"--stream: {source} has the streams {_listed(numbers)}, got {choice.stream}")
-    picked = [stream for stream in there if choice.stream in (None, stream.number)]
+    picked = [stream for stream in opened if choice.stream in (None, stream.number)]
     cut = [msgspec.structs.replace(stream, steps=_steps(stream, choice)) for stream in picked]
     if found := [stream for stream in cut if stream.steps]:
         return found
     held = "; ".join(
         f"stream {stream.number}: steps {stream.steps.start}:{stream.steps.stop}, segments "
-        f"{_listed([stay.number for stay in stream.stays])}"
+        f"{_listed([segment.number for segment in stream.segments])}"
         + "".join(
-            f", of which {stay.number} is steps {stay.steps.start}:{stay.steps.stop}"
-            for stay in stream.stays
-            if stay.number == choice.segment
+            f", of which {segment.number} is steps {segment.steps.start}:{segment.steps.stop}"
+            for segment in stream.segments
+            if segment.number == choice.segment
         )
         for stream in picked
     )
-    raise UsageError(f"{source}: nothing in it is what --segment and --steps pick; it holds {held}")
+    raise UsageError(f"{source}: no step matches --segment and --steps; it has {held}")
 
 
-def _steps(stream: Stream, choice: Choice) -> range:
+def _steps(stream: ShownStream, choice: Choice) -> range:
     steps = stream.steps
     if choice.steps is not None:
         steps = overlap(steps, choice.steps)
     if choice.segment is not None:
-        of_segment = [stay.steps for stay in stream.stays if stay.number == choice.segment]
+        of_segment = [segment.steps for segment in stream.segments if segment.number == choice.segment]
         steps = overlap(steps, of_segment[0]) if of_segment else range(0)
     return steps
 
 
 def _listed(numbers: Sequence[int]) -> str:
-    """Such as `0 to 3`; of any gap nothing is said."""
+    """Describe a range of numbers, such as `0 to 3`, regardless of gaps."""
     return f"{numbers[0]} to {numbers[-1]}" if len(numbers) > 1 else ", ".join(map(str, numbers)) or "none"
 
 
-def stays_of(first: Stay, switches: Iterable[Switch], stop: int) -> list[Stay]:
-    """The segments that the switches of a stream make.
+def segments_of(first: ShownSegment, switches: Iterable[Switch], stop: int) -> list[ShownSegment]:
+    """Derive the segments of a stream from its switches.
 
     Args:
-        first: number, world and first step of the one that the switches begin in; the rest of it is not looked at.
-        switches: in order.
-        stop: where the stream ends.
+        first: the first segment; only its number, world and first step are used.
+        switches: switches in order.
+        stop: end of the stream.
     """
-    found: list[Stay] = []
+    found: list[ShownSegment] = []
     number, world, start, entry = first.number, first.world, first.steps.start, math.nan
     for item in switches:
         if item.reason != "start":
-            found.append(Stay(number, world, range(start, item.step), item.reason, entry, _loss(item, world)))
+            found.append(ShownSegment(number, world, range(start, item.step), item.reason, entry, _loss(item, world)))
             number, world, start = number + 1, item.to_world, item.step
         entry = _loss(item, item.to_world)
     if world >= 0 and start <= stop:
-        found.append(Stay(number, world, range(start, stop), None, entry, math.nan))
+        found.append(ShownSegment(number, world, range(start, stop), None, entry, math.nan))
     return found
 
 

@@ -1,4 +1,4 @@
-"""The table: top and walls, the scenery of the world in view, objects, the agent's trail and moves, and contacts.
+"""The table in 3D: top and walls, scenery of the current world, objects, the agent's trail and moves, and contacts.
 
 Lengths are in metres, as in `envs.constants`.
 """
@@ -18,25 +18,25 @@ from gym_open.viz.view import SKY, VERMILION, times
 
 _FLAT = 0.002
 _RIM = 0.25
-"""Metres of ground that are shown around the table. Rerun puts its camera by the size of what there is to see, and
-would cut the table's corners off without it."""
+"""Metres of ground around the table. Rerun places its camera by the size of the scene, and would cut off the table's
+corners without this margin."""
 HALF_SIZES: dict[str, tuple[float, float, float]] = {
     **dict.fromkeys(c.CAPACITY, (c.RADIUS, c.RADIUS, c.RADIUS)),
     "rectangle": (c.RECTANGLE_LENGTH / 2, c.RADIUS, c.RADIUS),
 }
-"""Of each kind's box or ball; a cone is shown as the box around it."""
+"""Half sizes of each kind's box or ball; a cone is shown as its bounding box."""
 PARKED_Y = -15.0
-"""An object beyond this y is not on the table: the model parks unused ones 30 m behind the camera."""
+"""An object with a lower y is not on the table: the model parks unused objects 30 m behind the camera."""
 MOVE_M = 0.12
-"""Length of the arrow of a move along one axis."""
+"""Length in metres of the arrow of a move along one axis."""
 _TRAIL_POINTS = 50
-"""Of a trail, about: it is written anew for every step that is shown."""
+"""Approximate number of points of a trail, which is written again for every shown step."""
 M_PER_NS = 0.006
-"""Length of a contact's arrow for one newton second: a push from rest, 25 N s, is shown as 15 cm."""
+"""Length of a contact's arrow per newton second: a push from rest, 25 N s, is 15 cm long."""
 
 
 def log_table(rec: rr.RecordingStream, entity: str) -> None:
-    """Log the table's top and walls, which no puzzle changes, under `entity`."""
+    """Log the table's top and walls, which are the same in all worlds, under `entity`."""
     rec.log(entity, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     ground = rr.Boxes3D(
         centers=[0, 0, -4 * _FLAT],
@@ -68,7 +68,7 @@ def log_table(rec: rr.RecordingStream, entity: str) -> None:
 
 
 def log_scenery(rec: rr.RecordingStream, entity: str, puzzle: Puzzle, at: list[rr.TimeColumn]) -> None:
-    """Log pen, ramp and patch of `puzzle` from the time `at` on; none clears what the world before had."""
+    """Log pen, ramp and patch of `puzzle` from the time `at` on; a missing one clears that of the previous world."""
     _boxes(rec, f"{entity}/patch", _patch(puzzle), c.SCENERY_COLOUR["patch"], at)
     _boxes(rec, f"{entity}/pen", _pen(puzzle), c.SCENERY_COLOUR["pen"], at)
     _boxes(rec, f"{entity}/ramp", _ramp(puzzle), c.SCENERY_COLOUR["ramp"], at)
@@ -77,7 +77,7 @@ def log_scenery(rec: rr.RecordingStream, entity: str, puzzle: Puzzle, at: list[r
 def _boxes(
     rec: rr.RecordingStream, entity: str, boxes: list[np.ndarray], colour: tuple[int, int, int], at: list[rr.TimeColumn]
 ) -> None:
-    """Each of `boxes` is (2, 3): centre and half sizes."""
+    """Log boxes, each (2, 3): centre and half sizes."""
     values = np.array(boxes, dtype=np.float32).reshape(-1, 2, 3)
     columns = rr.Boxes3D.columns(
         centers=values[:, 0],
@@ -110,7 +110,7 @@ def _pen(puzzle: Puzzle) -> list[np.ndarray]:
 
 
 def _ramp(puzzle: Puzzle) -> list[np.ndarray]:
-    """The ramp's outline as a box: where it lies, not its slope."""
+    """The ramp as a box, which shows its place but not its slope."""
     if puzzle.pen is None:
         return []
     x, y = c.cell_centre(puzzle.pen.row, puzzle.pen.column)
@@ -123,7 +123,7 @@ def _ramp(puzzle: Puzzle) -> list[np.ndarray]:
 
 
 def log_styles(rec: rr.RecordingStream, entity: str) -> None:
-    """Log how trail, moves and contacts look under `entity`, the table's."""
+    """Log the style of trail, moves and contacts under the table's `entity`."""
     rec.log(f"{entity}/trail", rr.LineStrips3D.from_fields(radii=0.006, colors=c.COLOUR["agent"]), static=True)
     rec.log(f"{entity}/move", rr.Arrows3D.from_fields(radii=0.012, colors=(255, 255, 255)), static=True)
     rec.log(f"{entity}/contacts", rr.Arrows3D.from_fields(radii=0.01, show_labels=False), static=True)
@@ -132,40 +132,40 @@ def log_styles(rec: rr.RecordingStream, entity: str) -> None:
 def log_objects(
     rec: rr.RecordingStream, entity: str, names: Sequence[str], states: np.ndarray, steps: np.ndarray, *, begins: bool
 ) -> None:
-    """Log where objects are, an entity a kind.
+    """Log the positions of objects, with one entity per kind.
 
     Args:
         rec: the recording.
-        entity: the table's.
-        names: of all objects.
-        states: (n, objects, 13) at these steps, of one world: what is parked is so in all of them.
-        steps: (n,) numbers of the steps of the stream.
-        begins: whether the world is shown from here on, so that sizes, colours and names are logged at the first step.
+        entity: entity of the table.
+        names: names of all objects.
+        states: states of one world at these steps, (n, objects, 13); an object is parked in all of them or in none.
+        steps: numbers of the steps in the stream, (n,).
+        begins: whether the world is shown from here on; if so, sizes, colours and names are logged at the first step.
     """
     at, moved = times(steps), states.astype(np.float32)
     for kind, half_size in HALF_SIZES.items():
-        there = [i for i, name in enumerate(names) if kind_of(name) == kind and states[0, i, 1] > PARKED_Y]
+        present = [i for i, name in enumerate(names) if kind_of(name) == kind and states[0, i, 1] > PARKED_Y]
         archetype = rr.Ellipsoids3D if kind in SPHERES else rr.Boxes3D
         moving = archetype.columns(
-            centers=moved[:, there, :3].reshape(-1, 3),
-            quaternions=moved[:, there, 3:7][..., [1, 2, 3, 0]].reshape(-1, 4),  # Rerun wants x, y, z, w
+            centers=moved[:, present, :3].reshape(-1, 3),
+            quaternions=moved[:, present, 3:7][..., [1, 2, 3, 0]].reshape(-1, 4),  # Rerun's order is x, y, z, w
         )
-        rec.send_columns(f"{entity}/{kind}", at, moving.partition([len(there)] * len(steps)))
+        rec.send_columns(f"{entity}/{kind}", at, moving.partition([len(present)] * len(steps)))
         if begins:
             fixed = archetype.columns(
-                half_sizes=np.tile(np.array(half_size, np.float32), (len(there), 1)),
-                colors=[c.COLOUR[kind]] * len(there),
-                labels=[printable(names[i]) for i in there],
-                fill_mode=[rr.components.FillMode.Solid] * len(there),
-                show_labels=[False] * len(there),
+                half_sizes=np.tile(np.array(half_size, np.float32), (len(present), 1)),
+                colors=[c.COLOUR[kind]] * len(present),
+                labels=[printable(names[i]) for i in present],
+                fill_mode=[rr.components.FillMode.Solid] * len(present),
+                show_labels=[False] * len(present),
             )
-            rec.send_columns(f"{entity}/{kind}", times(steps[:1]), fixed.partition([len(there)]))
+            rec.send_columns(f"{entity}/{kind}", times(steps[:1]), fixed.partition([len(present)]))
 
 
 class Trail:
-    """The agent's path over its last steps in this world, thinned or not: a line of its own at each step shown.
+    """The agent's path over its last steps in the current segment, as a separate line at each shown step.
 
-    Of one line a step, and not of a point a step and a range of time that is shown, which would hold the world before.
+    Rerun could instead show one point per step over a range of time, but that would include the previous segment.
     """
 
     def __init__(self, steps: int) -> None:
@@ -176,15 +176,15 @@ class Trail:
         self, rec: rr.RecordingStream, entity: str, agent: np.ndarray, first_step: int, numbers: np.ndarray,
         *, begins: bool,
     ) -> None:  # fmt: skip
-        """Log the trail of a span, which goes on from the one before unless it `begins`.
+        """Log the trail of a span; it continues the trail of the previous span unless the segment `begins`.
 
         Args:
             rec: the recording.
-            entity: the table's.
-            agent: (T + 1, 3) where it was.
+            entity: entity of the table.
+            agent: positions of the agent, (T + 1, 3).
             first_step: number of the span's first step.
-            numbers: of 0…T, those shown.
-            begins: whether the world is shown from here on.
+            numbers: numbers (0…T) of the shown steps.
+            begins: whether this is the first shown span of its segment.
         """
         past = agent[:0] if begins else self._past
         path = np.concatenate([past, agent])
@@ -200,14 +200,14 @@ class Trail:
 
 
 def log_moves(rec: rr.RecordingStream, entity: str, agent: np.ndarray, actions: np.ndarray, steps: np.ndarray) -> None:
-    """Log the push that the agent gives itself at each step, as an arrow from where it is.
+    """Log the agent's push at each step as an arrow that starts at the agent.
 
     Args:
         rec: the recording.
-        entity: the table's.
-        agent: (n, 3) where it is before the action.
-        actions: (n,) numbers of `envs.constants.MOVES`.
-        steps: (n,) numbers of the steps.
+        entity: entity of the table.
+        agent: positions of the agent before the action, (n, 3).
+        actions: indices into `envs.constants.MOVES`, (n,).
+        steps: numbers of the steps, (n,).
     """
     moves = np.pad(np.array(c.MOVES)[actions], ((0, 0), (0, 1)))
     rec.send_columns(f"{entity}/move", times(steps), rr.Arrows3D.columns(origins=agent, vectors=MOVE_M * moves))
@@ -216,9 +216,9 @@ def log_moves(rec: rr.RecordingStream, entity: str, agent: np.ndarray, actions: 
 def log_contacts(
     rec: rr.RecordingStream, entity: str, contacts: Sequence[Sequence[Contact]], steps: np.ndarray
 ) -> None:
-    """Log what touched what in each step: an arrow along the normal, `M_PER_NS` metres a newton second long.
+    """Log the contacts of each step as arrows along the normal, `M_PER_NS` metres long per newton second.
 
-    Those of the agent have a colour of their own. Names and impulse are shown where the mouse is.
+    The agent's contacts have another colour. Rerun shows the names and the impulse of the contact under the mouse.
     """
     flat = [contact for found in contacts for contact in found]
     impulses = np.array([contact.impulse for contact in flat], np.float32).reshape(-1, 1)

@@ -11,8 +11,8 @@ from gym_open.envs.world import World
 from gym_open.viz.film import FAINT, INK, PAPER, even, typeface
 from gym_open.viz.puzzles.colours import COLOURS, STYLES, colour
 from gym_open.viz.puzzles.episodes import Episode, Puzzled
-from gym_open.viz.render import DIRECTIONS, Look, Moment, Painter, moments, painter
-from gym_open.viz.strip import Curve, Plot, Strip
+from gym_open.viz.render import DIRECTIONS, FilmedStep, Look, Painter, painter, played_steps
+from gym_open.viz.strip import Plot, PlotLine, Strip
 
 _STEPS_A_SECOND = 6
 _WIDTH, _WIDEST = 1280, 420
@@ -58,25 +58,25 @@ def _frames(played: Puzzled, look: Look, each: int) -> Iterator[np.ndarray]:
 
 def returns_plot(episodes: list[Episode], longest: int) -> Plot:
     """Return so far of each agent, up to the end of the longest episode; lines lie a little apart."""
-    curves = list[Curve]()
+    curves = list[PlotLine]()
     for number, episode in enumerate(episodes):
         earned = np.append(episode.returns, episode.returns[-1])
         at = np.append(np.arange(episode.steps + 1), 1.02 * longest)
         style = STYLES[number % len(STYLES)]
-        curves.append(Curve(at, earned + 0.012 * number, COLOURS[number % len(COLOURS)], episode.name, style))
+        curves.append(PlotLine(at, earned + 0.012 * number, COLOURS[number % len(COLOURS)], episode.name, style))
     return Plot("return so far", curves)
 
 
 def _panels(played: Puzzled, number: int, paint: Painter, each: int) -> Iterator[Image.Image]:
     """What is seen of one agent, from the beginning to its end."""
     episode, total = played.episodes[number], played.episodes[number].steps
-    for world, moment in moments(World(), played.puzzle, episode.actions, each):
+    for world, moment in played_steps(World(), played.puzzle, episode.actions, each):
         at_end = moment.step == total and math.isclose(moment.total, episode.returns[-1], abs_tol=1e-9)
         yield _panel(paint(world), episode, colour(number), moment, ended=at_end)
 
 
 def _panel(
-    picture: np.ndarray, episode: Episode, hue: tuple[int, int, int], moment: Moment, *, ended: bool
+    picture: np.ndarray, episode: Episode, hue: tuple[int, int, int], moment: FilmedStep, *, ended: bool
 ) -> Image.Image:
     """The picture between the agent's name and what it does."""
     size = len(picture)

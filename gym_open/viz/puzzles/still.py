@@ -13,7 +13,7 @@ from gym_open.viz.puzzles.episodes import Episode, Puzzled
 from gym_open.viz.puzzles.film import returns_plot
 from gym_open.viz.puzzles.tables import HARDEST, TaskTable
 from gym_open.viz.render import Look, Painter, draw_sheet, painter, pose
-from gym_open.viz.strip import Curve, Plot, draw_plot
+from gym_open.viz.strip import Plot, PlotLine, draw_plot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -85,13 +85,13 @@ def _draw_strip(figure: "SubFigure", strip: list[tuple[str, np.ndarray]]) -> Non
 
 
 def _opinion_plot(episodes: Sequence[Episode], judges: list[int], name: str) -> Plot:
-    curves = list[Curve]()
+    curves = list[PlotLine]()
     for number in judges:
         opinion = episodes[number].opinion
         assert opinion is not None
         values = opinion.values if name == "value" else opinion.entropy
         curves.append(
-            Curve(
+            PlotLine(
                 np.arange(len(values) + 1), np.append(values, values[-1]), COLOURS[number % len(COLOURS)],
                 episodes[number].name, STYLES[number % len(STYLES)],
             )

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from gym_open.viz.features.analysis import Analysis, agent_apart, analyse, components_for, effective_rank, same_world
+from gym_open.viz.features.analysis import (
+    FeatureAnalysis,
+    agent_apart,
+    analyse,
+    components_for,
+    effective_rank,
+    same_world,
+)
 from gym_open.viz.features.frames import Frames
 
 
@@ -68,13 +75,13 @@ def test_few_pictures_and_constant_features_are_no_accident(n: int, k: int) -> N
         assert found.points.shape == (n, 3)
         assert np.isfinite(found.points).all()
         assert np.isfinite(found.explained).all()
-    constant: Analysis = analyse(np.zeros((n, 4)))
+    constant: FeatureAnalysis = analyse(np.zeros((n, 4)))
     assert (constant.rank, constant.dead, components_for(constant.explained, 0.9)) == (0.0, 4, 0)
 
 
 def test_how_alike_neighbours_are() -> None:
     frames = Frames(
-        origin="", images=np.zeros((3, 84, 84, 3), np.uint8), moments=["", "", ""], worlds=np.array([0, 0, 1]),
+        origin="", images=np.zeros((3, 84, 84, 3), np.uint8), captions=["", "", ""], worlds=np.array([0, 0, 1]),
         agent=np.array([[0.0, 0.0], [0.141, 0.0], [0.0, 0.423]]), goal=np.zeros(3),
     )  # fmt: skip
     assert same_world(frames, np.array([[1], [0], [0]])) == pytest.approx(2 / 3)

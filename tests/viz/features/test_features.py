@@ -23,7 +23,7 @@ from gym_open.formats.pngs import decode_png
 from gym_open.formats.releases import Release, open_release
 from gym_open.viz import features
 from gym_open.viz.config import Choice, VizConfig
-from gym_open.viz.features.frames import of_random_play, of_release
+from gym_open.viz.features.frames import of_random_actions, of_release
 from gym_open.viz.view import View
 
 MakeLog = Callable[..., Path]
@@ -100,7 +100,7 @@ def neighbours(drawn: Drawn) -> np.ndarray:
 def test_pictures_are_the_releases_and_neighbours_the_encoders(drawn: Drawn) -> None:
     """A release of fewer frames than are shown is shown whole, in its own order."""
     images = drawn.release.images(np.arange(len(drawn.release)))
-    shown = [decode_png(bytes(blob[0])) for blob in drawn.column("/shown/picture", "EncodedImage:blob")]
+    shown = [decode_png(bytes(blob[0])) for blob in drawn.column("/shown/image", "EncodedImage:blob")]
     assert np.array_equal(shown, images)
     near = neighbours(drawn)
     for k in range(4):
@@ -169,8 +169,8 @@ def test_words_and_documents(drawn: Drawn) -> None:
 def test_a_sample_is_drawn_without_replacement_and_always_the_same(release: Path) -> None:
     opened = open_release(release)
     one, other = of_release(opened, 9), of_release(opened, 9)
-    assert one.moments == other.moments
-    assert len(set(one.moments)) == 9
+    assert one.captions == other.captions
+    assert len(set(one.captions)) == 9
     assert np.array_equal(one.images, other.images)
 
 
@@ -189,20 +189,20 @@ def test_what_is_true_of_a_frame_is_what_the_release_says(release: Path) -> None
 
 
 def test_random_play_is_in_worlds_of_its_own() -> None:
-    frames = of_random_play(45)
+    frames = of_random_actions(45)
     assert len(frames) == 45
     assert np.array_equal(frames.worlds, np.arange(45) // 2)
     assert len(np.unique(frames.images.reshape(45, -1), axis=0)) == 45
     assert (np.abs(frames.agent) <= (0.641, 1.1218)).all()
     assert (frames.goal > 0.09).all()  # both are balls of 0.05 m
-    assert np.array_equal(of_random_play(3).images[0], frames.images[0])
+    assert np.array_equal(of_random_actions(3).images[0], frames.images[0])
 
 
 def test_what_has_no_encoder_of_pictures_is_refused(tmp_path: Path, release: Path, make_log: MakeLog) -> None:
     told = EncoderConfig(architecture="state", features=8)
     policy = ActorCritic(make_encoder(told, torch.Generator()), 9, torch.Generator())
     state = build(tmp_path / "state", "policy", lambda partial: save_policy(partial, policy))
-    with pytest.raises(ArtefactError, match="looks at no picture"):
+    with pytest.raises(ArtefactError, match="gets the simulator state instead of images"):
         features.view(VizConfig(), state, Choice())
     with pytest.raises(ArtefactError, match="a log without an encoder"):
         features.view(VizConfig(), make_log(lengths=((2,),)), Choice())

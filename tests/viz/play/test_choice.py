@@ -86,7 +86,7 @@ def test_picked_play_is_shown_in_its_place(log: Path, tmp_path: Path, read_back:
         ({"segment": 9}, r"stream 0: steps 0:24, segments 0 to 3; stream 1: steps 0:6, segments 0"),
         ({"segment": 1, "steps": range(3)}, r"stream 0: steps 0:24, segments 0 to 3, of which 1 is steps 5:17"),
         ({"steps": range(24, 30)}, "nothing in it is what"),
-        ({"episode": 1}, "--episode picks nothing of a log"),
+        ({"episode": 1}, "--episode does not apply to a log"),
     ],
 )
 def test_what_is_not_there_is_refused(log: Path, picked: dict[str, Any], message: str) -> None:

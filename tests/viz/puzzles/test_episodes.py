@@ -119,7 +119,7 @@ def test_what_cannot_be_shown_is_refused(scores: Any, others: Any, policy: Path,
         play_all(SOLVED, [])
     with pytest.raises(ArtefactError, match="a log, which plays no puzzle of the evaluation"):
         play_all(SOLVED, [make_log()])
-    with pytest.raises(UsageError, match="--segment picks nothing of a puzzle"):
+    with pytest.raises(UsageError, match="--segment does not apply to a puzzle"):
         view(VizConfig(), [scores.path], Choice(puzzle=SOLVED, segment=1))
     with pytest.raises(ArtefactError, match="expected an artefact of kind 'scores', got 'policy'"):
         view(VizConfig(), [policy], Choice())

@@ -53,8 +53,8 @@ def test_long_episodes_have_fewer_pictures_a_step(scores: Any) -> None:
 def test_what_cannot_be_filmed_is_refused(scores: Any, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"ends in \.mp4 or \.gif, got '\.avi'"):
         write_video(PLAIN, [scores.path], Choice(), tmp_path / "play.avi")
-    with pytest.raises(UsageError, match="nothing moves in scores; give one log or release, or scores and policies"):
+    with pytest.raises(UsageError, match="cannot film scores; give one log or release, or scores and policies"):
         write_video(PLAIN, [scores.path], Choice(), tmp_path / "play.mp4")
-    with pytest.raises(UsageError, match="--steps picks nothing of a puzzle"):
+    with pytest.raises(UsageError, match="--steps does not apply to a puzzle"):
         write_video(PLAIN, [scores.path], Choice(puzzle="avoidance/000", steps=range(3)), tmp_path / "play.mp4")
     assert not list(tmp_path.iterdir())

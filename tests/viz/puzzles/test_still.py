@@ -60,6 +60,6 @@ def test_all_puzzles_on_a_page(scores: Any, others: Any, tmp_path: Path) -> None
 def test_what_has_no_page_is_refused(scores: Any, policy: Path, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"ends in \.png, got '\.jpg'"):
         write_still(PLAIN, [scores.path], Choice(), tmp_path / "a.jpg")
-    with pytest.raises(UsageError, match="--png: no page of policy; give one log or release, scores"):
+    with pytest.raises(UsageError, match="--png: cannot draw policy as a page; give one log or release, scores"):
         write_still(PLAIN, [policy], Choice(), tmp_path / "a.png")
     assert not list(tmp_path.iterdir())
