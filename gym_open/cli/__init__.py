@@ -1,6 +1,6 @@
-"""The command `gym-open`: sub-commands only, no logic.
+"""The command `gym-open`: it finds the sub-command, reads its options, and runs it; the sub-commands hold no logic.
 
-Slow libraries (torch, mujoco, lerobot, rerun) are imported when a sub-command runs, so that `--help` answers at once.
+A sub-command imports slow libraries (torch, mujoco, lerobot, rerun) when it runs, so that `--help` is fast.
 """
 
 import itertools
@@ -23,9 +23,9 @@ from gym_open.terminal import printable
 from gym_open.version import __version__
 
 COMMANDS: dict[str, type[Command]] = {
-    "run": stages.Run,
-    "init": stages.Init,
-    "collect": stages.Collect,
+    "run": stages.RunCommand,
+    "init": stages.InitCommand,
+    "collect": stages.CollectCommand,
     "log info": logs.LogInfo,
     "log replay": logs.LogReplay,
     "log repair": logs.LogRepair,
@@ -44,17 +44,17 @@ COMMANDS: dict[str, type[Command]] = {
     "train policy": stages.TrainPolicy,
     "train probe": stages.TrainProbe,
     "encoder push": results.EncoderPush,
-    "evaluate": stages.Evaluate,
+    "evaluate": stages.EvaluateCommand,
     "score verify": results.ScoreVerify,
-    "benchmark": results.Benchmark,
-    "report": results.Report,
-    "viz": viz.Viz,
+    "benchmark": results.BenchmarkCommand,
+    "report": results.ReportCommand,
+    "viz": viz.VizCommand,
     "puzzle show": world.PuzzleShow,
     "puzzle verify": world.PuzzleVerify,
     "render sheet": world.RenderSheet,
     "render video": world.RenderVideo,
-    "play": world.Play,
-    "serve": world.Serve,
+    "play": world.PlayCommand,
+    "serve": world.ServeCommand,
 }
 
 _NEEDS: dict[str, tuple[str, ...]] = {
@@ -76,14 +76,14 @@ _NEEDS: dict[str, tuple[str, ...]] = {
     "play": ("play",),
     "serve": ("remote",),
 }
-"""Extras without which nothing can be started, by a command or its first word. Some options need more."""
-_GOES_ON = "; the same command goes on from the last checkpoint"
+"""Extras that a command needs to start, by the command or its first word. Some options need more extras."""
+_GOES_ON = "; run the same command again to continue from the last checkpoint"
 _FLAGS = (tyro.conf.FlagCreatePairsOff,)
-"""No `--no-…` beside each option that is on or off."""
+"""No additional `--no-…` option for each on-off option."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one sub-command and return the exit code: 0 done, 1 the run or the check failed, 2 wrong use."""
+    """Run one sub-command and return the exit code: 0 success, 1 the run or the check failed, 2 wrong use."""
     words = list(sys.argv[1:] if argv is None else argv)
     if not words or words[0] in ("-h", "--help"):
         _overview()
@@ -107,7 +107,7 @@ def _run(name: str, words: list[str]) -> int:
     except GymOpenError as error:
         print(f"error: {printable(str(error))}", file=sys.stderr)
         return error.exit_code
-    except BrokenPipeError:  # what reads our words, `head` for instance, has had enough
+    except BrokenPipeError:  # the reader of the output, such as `head`, has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except OSError as error:
@@ -136,14 +136,14 @@ def _parse(name: str, words: list[str]) -> Command:
     required = {f.name: tyro.MISSING for f in fields(kind) if f.default is MISSING and f.name not in given}
     try:
         command = tyro.cli(kind, args=words, prog=program, config=_FLAGS, default=kind(**given, **required))
-    except ValueError as error:  # options that do not go together: a configuration's own check
+    except ValueError as error:  # a check of the configuration: options that contradict each other
         raise ConfigError(f"options: {error}") from None
     check(command.settings, source="options")
     return command
 
 
 def _value(words: Sequence[str], option: str) -> str | None:
-    """What the option is given last, as the parser has it."""
+    """The last value of an option, as the parser would use it."""
     found = None
     for word, following in itertools.pairwise([*words, ""]):
         if word == option:
@@ -154,7 +154,7 @@ def _value(words: Sequence[str], option: str) -> str | None:
 
 
 def _overview() -> None:
-    print(f"gym-open {__version__}: play without a task, released as data, scored by what it was worth\n")
+    print(f"gym-open {__version__}: explore without a task, publish the data, learn from it, score the result\n")
     print("usage: gym-open COMMAND [options]      gym-open COMMAND --help shows its options and an example\n")
     for name, kind in COMMANDS.items():
         print(f"  {name:<15} {kind.about}")

@@ -1,13 +1,14 @@
-"""What every sub-command is, and how it says what it made."""
+"""The base classes of sub-commands, and the functions by which they print results."""
 
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import ClassVar
 
-from rich.console import Console
+from rich.console import Console, RenderableType
 
 from gym_open import artefacts, progress
 from gym_open.summary import short, stage_record
@@ -20,45 +21,45 @@ say = voice.say
 
 @dataclass(frozen=True, kw_only=True)
 class Command(ABC):
-    """A sub-command: its fields are its options, its docstring its help."""
+    """A sub-command: its fields are its options, and its docstring is its help text."""
 
     about: ClassVar[str]
-    """A line for the overview."""
+    """One line for the overview of all commands."""
 
     @abstractmethod
     def run(self) -> None:
-        """Do it."""
+        """Run the command."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Making(Command):
-    """A sub-command that makes artefacts: scripts call it, too."""
+class ArtefactCommand(Command):
+    """A sub-command that makes artefacts, with options for scripts."""
 
     quiet: bool = False
-    """Print errors, and one line on what came of it."""
+    """Print only errors and one line with the result."""
     json: bool = False
-    """Print a line of JSON for each artefact: stage, result, seconds, path, digest, kind, figures. The rest goes to
-    standard error."""
+    """Print one line of JSON per artefact: stage, result, seconds, path, digest, kind, figures. All other output goes
+    to standard error."""
 
     stages: ClassVar[bool] = False
-    """Whether it goes through stages that say themselves when they begin and end."""
+    """Whether the command has several stages, which report themselves when they begin and end."""
 
 
 @dataclass
-class _Running:
+class _RunningCommand:
     name: str = ""
     started: float = 0.0
 
 
-_running = _Running()
+_running = _RunningCommand()
 
 
 @contextmanager
 def speaking(command: Command, name: str) -> Iterator[None]:
-    """While `command` of that name runs, speak as its options ask for, and show that it goes on."""
+    """While a command runs, print as its options say, and show that it is running."""
     with ExitStack() as stack:
         _running.name, _running.started = name, time.perf_counter()
-        if isinstance(command, Making):
+        if isinstance(command, ArtefactCommand):
             stack.callback(_choose, quiet=False, json=False)
             _choose(quiet=command.quiet, json=command.json)
             if not command.stages:
@@ -73,12 +74,29 @@ def _choose(*, quiet: bool, json: bool) -> None:
     progress.console.quiet = quiet
 
 
-def report(made: artefacts.Outcome, *then: str) -> None:
-    """Say what came of the command that runs, and which commands to type next."""
+def show(*renderables: RenderableType) -> None:
+    """Print tables and other formatted results."""
+    for item in renderables:
+        out.print(item)
+
+
+def say_next(*commands: str) -> None:
+    """Print the commands to type next."""
+    for command in commands:
+        say(f"  next: {command}")
+
+
+def say_made(path: Path, *commands: str, note: str = "") -> None:
+    """Print the path of a new file or folder, a note, and the commands to type next."""
+    say(short(path) + (f"  ({note})" if note else ""), verb="made")
+    say_next(*commands)
+
+
+def report(made: artefacts.Outcome, *commands: str) -> None:
+    """Print the artefact that the current command made, or its JSON record, and the commands to type next."""
     voice.record(stage_record(_running.name, made, time.perf_counter() - _running.started))
     verb = "made" if made.made else "up to date, nothing to do:"
     voice.result(f"{short(made.path)}  (digest {artefacts.digest(made.path)[:16]})", verb=verb)
     if made.earlier is not None:
-        say(f"  what was there before, of other inputs, is now {short(made.earlier)}")
-    for line in then:
-        say(f"  next: {line}")
+        say(f"  the earlier artefact, which was made from other inputs, is now {short(made.earlier)}")
+    say_next(*commands)

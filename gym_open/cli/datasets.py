@@ -1,4 +1,4 @@
-"""Sub-commands on dataset releases: make, check, compare, look at, hand on."""
+"""Sub-commands on dataset releases: build, verify, compare, inspect, export, sign and publish."""
 
 import shlex
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import tyro
 
 from gym_open import artefacts
-from gym_open.cli.base import Command, Making, out, report, say
+from gym_open.cli.base import ArtefactCommand, Command, report, say, say_made, say_next, show
 from gym_open.cli.stages import Settings, StageCommand
 from gym_open.config import check
 from gym_open.datasets.config import FilterConfig, Header, License, MergeConfig, ReleaseConfig
@@ -21,37 +21,37 @@ Release = Annotated[Path, tyro.conf.Positional]
 
 
 @dataclass(frozen=True, kw_only=True)
-class DatasetBuild(Making, StageCommand):
-    """Turn logs into a versioned LeRobot v3.0 release, frames bit-exact.
+class DatasetBuild(ArtefactCommand, StageCommand):
+    """Build a versioned LeRobot v3.0 release from logs, with bit-exact frames.
 
-    The version must be the one that follows from what has changed since the last; `gym-open dataset diff` says which.
+    The version must follow from the changes since the previous release; `gym-open dataset diff` says which it is.
 
     Example: gym-open dataset build --logs collect/logs/curl-ride collect/logs/icm --version 1.0.0
     """
 
     settings: Settings[ReleaseConfig]
     logs: tuple[Path, ...]
-    """Folders of logs that `gym-open collect` made."""
+    """Folders of logs from `gym-open collect`."""
     out: Path | None = None
     """Folder of the release; default datasets/NAMESPACE/NAME/VERSION."""
     previous: Path | None = None
-    """Release to compare with; default the highest lower version beside the new one."""
+    """Release to compare with; default the highest lower version in the same folder."""
     append: bool = False
-    """Take over the previous release as it is, and add what is in the logs."""
+    """Copy the previous release, and add the logs to it."""
     workers: int | None = None
-    """Threads that code pictures; default one a processor. The result is the same."""
+    """Threads that encode images; default one per core. The result does not depend on it."""
     replace: bool = False
-    """Set aside what stands at --out if it was made of other inputs, rather than refuse: for drafts."""
+    """If the folder at --out was made from other inputs, rename it instead of refusing to build; for drafts."""
 
     default = "datasets/explore.toml"
-    about = "logs to a LeRobot release"
+    about = "build a LeRobot release from logs"
 
     def run(self) -> None:
-        """Build."""
+        """Build the release."""
         from gym_open.datasets.build import build_release
 
         if not self.logs:
-            raise UsageError("--logs: expected one folder of logs or more; make one with `gym-open collect`")
+            raise UsageError("--logs: expected at least one folder of logs, got none; make one with `gym-open collect`")
         folder = self.place(self.out, f"datasets/{self.settings.name}", self.settings.version)
         made = build_release(
             self.settings, self.logs, folder,
@@ -62,7 +62,7 @@ class DatasetBuild(Making, StageCommand):
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetVerify(Command):
-    """Check a release: every byte, its structure, its statistics, that others can read it, and that it plays out again.
+    """Verify a release: bytes, structure, statistics, whether other programs can read it, and a replay.
 
     Example: gym-open dataset verify datasets/open/explore/1.0.0 --quick
     """
@@ -70,21 +70,20 @@ class DatasetVerify(Command):
     release: Release
     """Folder of a release."""
     quick: bool = False
-    """Leave out the replay, in which every action is simulated again and every pixel compared."""
+    """Skip the replay, which simulates every action again and compares every pixel."""
     tolerance: float = 1e-3
-    """How far a number (m, m/s, rad/s, N s) may be off in a replay before a window has diverged."""
+    """Largest difference of a number (m, m/s, rad/s, N s) before a window of the replay counts as diverged."""
     key: Path | None = None
-    """Public key (PEM) that the release must be signed with."""
+    """Public key (PEM) that must match the release's signature."""
 
-    about = "check a release: bytes, structure, statistics, replay"
+    about = "verify a release: bytes, structure, statistics, replay"
 
     def run(self) -> None:
-        """Check, print, and fail if anything is wrong."""
+        """Verify the release, and fail if there are problems."""
         from gym_open.datasets.verify import verify_release
 
         found = verify_release(self.release, replay=not self.quick, tolerance=self.tolerance, key=self.key)
-        for table in found.tables():
-            out.print(table)
+        show(*found.tables())
         say(found.verdict)
         if found.problems:
             raise GymOpenError(f"{short(self.release)}: {len(found.problems)} problem(s), see above")
@@ -92,7 +91,7 @@ class DatasetVerify(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetDiff(Command):
-    """Say what changed between two releases, by file and by meaning, and which version that calls for.
+    """Show the changes between two releases, by file and by meaning, and the version that they require.
 
     Example: gym-open dataset diff datasets/open/explore/1.0.0 datasets/open/explore/1.1.0
     """
@@ -100,29 +99,28 @@ class DatasetDiff(Command):
     one: Release
     """Folder of the earlier release."""
     other: Release
-    """Folder of the later one."""
+    """Folder of the later release."""
 
-    about = "what changed between two releases"
+    about = "show the changes between two releases"
 
     def run(self) -> None:
-        """Compare and print."""
+        """Compare the releases, and print tables."""
         from gym_open.datasets.compare.diff import diff_releases, diff_tables
         from gym_open.datasets.compare.versions import implied
         from gym_open.formats.releases import open_release
 
         one, other = open_release(self.one), open_release(self.other)
         found = diff_releases(one, other)
-        for table in diff_tables(found):
-            out.print(table)
+        show(*diff_tables(found))
         if found.bump == "none":
-            say("the same release: nothing but version and date may differ")
+            say("the same release; only version and date may differ")
         else:
             say(f"{found.bump}: after {one.version} comes {implied(one.version, found.bump)}", verb="implied version")
 
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetInfo(Command):
-    """Say what is in a release, at a glance.
+    """Show what a release contains.
 
     Example: gym-open dataset info datasets/open/explore/1.0.0
     """
@@ -130,39 +128,38 @@ class DatasetInfo(Command):
     release: Release
     """Folder of a release."""
 
-    about = "what is in a release"
+    about = "show what a release contains"
 
     def run(self) -> None:
-        """Read and print."""
+        """Read the release, and print tables."""
         from gym_open.datasets.overview import info_tables
 
-        for table in info_tables(self.release):
-            out.print(table)
-        say(f"  next: gym-open dataset verify {word(self.release)}")
+        show(*info_tables(self.release))
+        say_next(f"gym-open dataset verify {word(self.release)}")
 
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetList(Command):
-    """List the releases below a folder.
+    """List the releases in a folder, at any depth.
 
     Example: gym-open dataset list datasets
     """
 
     folder: Annotated[Path, tyro.conf.Positional] = Path("datasets")
-    """Where to look."""
+    """Folder to search."""
 
-    about = "the releases below a folder"
+    about = "list the releases in a folder"
 
     def run(self) -> None:
-        """Look and print."""
+        """Search the folder, and print a table."""
         from gym_open.datasets.overview import list_table
 
-        out.print(list_table(self.folder))
+        show(list_table(self.folder))
 
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetExport(Command):
-    """Write one split of a release in another form: plain NumPy, or Minari.
+    """Export one split of a release as NumPy arrays or as a Minari dataset.
 
     Example: gym-open dataset export datasets/open/explore/1.0.0 --form npz --split train --out train.npz
     """
@@ -170,18 +167,18 @@ class DatasetExport(Command):
     release: Release
     """Folder of a release."""
     out: Path
-    """File (npz) to write, or folder that Minari's data sets are in."""
+    """The .npz file to write, or the folder of Minari's datasets."""
     form: Literal["npz", "minari"] = "npz"
-    """What to write; Minari needs `gym-open[minari]`."""
+    """Format to write; Minari needs `gym-open[minari]`."""
     split: str = "train"
-    """Split to write."""
+    """Split to export."""
     dataset_id: str | None = None
-    """What Minari calls the data set, NAMESPACE/NAME-vN; default the release's name, split and major version."""
+    """Minari's id of the dataset, NAMESPACE/NAME-vN; default the release's name, split and major version."""
 
-    about = "a split as NumPy (npz) or Minari"
+    about = "export a split as NumPy (npz) or Minari"
 
     def run(self) -> None:
-        """Write it."""
+        """Export the split."""
         from gym_open.datasets.export import export_minari, export_npz
         from gym_open.formats.releases import open_release
 
@@ -191,35 +188,35 @@ class DatasetExport(Command):
             about = open_release(self.release)
             named = f"{about.name}-{self.split}-v{about.version.split('.')[0]}"
             path = export_minari(self.release, self.split, self.out, self.dataset_id or named)
-        say(short(path), verb="made")
+        say_made(path)
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Derived(Making):
-    """What a release made of releases is called."""
+class _DerivedReleaseCommand(ArtefactCommand):
+    """Options of commands that make a release from other releases."""
 
     name: str
     """NAMESPACE/NAME of the new release."""
     version: str = "1.0.0"
-    """Its version."""
+    """Version of the new release."""
     license: License = "mit"
-    """Its licence."""
+    """Licence of the new release."""
     published: str = ""
-    """Its date, YYYY-MM-DD; none if empty."""
+    """Date of the new release, YYYY-MM-DD; no date if empty."""
     data_file_mb: int = 100
-    """A new data file is begun at this size in memory, in MiB."""
+    """Size in memory, in MiB, at which a new data file begins."""
     out: Path | None = None
     """Folder of the new release; default datasets/NAMESPACE/NAME/VERSION."""
     workers: int | None = None
-    """Threads that code pictures; default one a processor."""
+    """Threads that encode images; default one per core."""
 
     def _place(self, config: Header) -> Path:
         return self.out or Path("datasets") / config.name / config.version
 
 
 @dataclass(frozen=True, kw_only=True)
-class DatasetMerge(_Derived):
-    """Make one release of several, frames copied byte for byte.
+class DatasetMerge(_DerivedReleaseCommand):
+    """Merge several releases into one; frames are copied byte for byte.
 
     Example: gym-open dataset merge datasets/open/icm/1.0.0 datasets/open/rnd/1.0.0 --name open/both
     """
@@ -227,14 +224,14 @@ class DatasetMerge(_Derived):
     releases: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """Folders of releases."""
 
-    about = "several releases to one"
+    about = "merge several releases into one"
 
     def run(self) -> None:
-        """Merge."""
+        """Merge the releases."""
         from gym_open.datasets.merge import merge_releases
 
         if not self.releases:
-            raise UsageError("expected one release or more, got none; give their folders")
+            raise UsageError("expected at least one release, got none; give the folders of releases")
         config = MergeConfig(
             name=self.name, version=self.version, license=self.license, published=self.published,
             data_file_mb=self.data_file_mb,
@@ -244,8 +241,8 @@ class DatasetMerge(_Derived):
 
 
 @dataclass(frozen=True, kw_only=True)
-class DatasetFilter(_Derived):
-    """Make a release of some episodes of another, frames copied byte for byte. Conditions must hold together.
+class DatasetFilter(_DerivedReleaseCommand):
+    """Make a release from some episodes of another; frames are copied byte for byte. All conditions must hold.
 
     Example: gym-open dataset filter datasets/open/explore/1.0.0 --name open/touching --min-contact 0.2
     """
@@ -255,18 +252,18 @@ class DatasetFilter(_Derived):
     explorer: tuple[str, ...] = ()
     """Only episodes of these explorers."""
     world: tuple[str, ...] = ()
-    """Only episodes in these worlds: layout digests, or their first six digits or more."""
+    """Only episodes in these worlds: layout digests, or at least their first six digits."""
     min_contact: float = 0.0
-    """Only episodes in which the agent touches something in at least this share of the steps."""
+    """Only episodes with contacts of the agent in at least this share of the steps."""
     min_coverage: float = 0.0
     """Only episodes in which the agent visits at least this share of the table's 5 cm cells."""
     split: tuple[Split, ...] = ()
     """Only episodes of these splits."""
 
-    about = "some episodes of a release as another"
+    about = "make a release from some episodes of another"
 
     def run(self) -> None:
-        """Filter."""
+        """Filter the release."""
         from gym_open.datasets.filter import filter_release
 
         config = FilterConfig(
@@ -280,7 +277,7 @@ class DatasetFilter(_Derived):
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetSign(Command):
-    """Sign a release with a private key, off-line. Needs `gym-open[sign]`.
+    """Sign a release with a private key, without network access. Needs `gym-open[sign]`.
 
     Example: gym-open dataset sign datasets/open/explore/1.0.0 --key private.pem
     """
@@ -288,21 +285,21 @@ class DatasetSign(Command):
     release: Release
     """Folder of a release."""
     key: Path
-    """Private key: an elliptic curve's, PEM."""
+    """Private key of an elliptic curve (PEM)."""
 
     about = "sign a release with a key"
 
     def run(self) -> None:
-        """Sign."""
+        """Sign the release."""
         from gym_open.datasets.signing import sign_release
 
-        say(short(sign_release(self.release, self.key)), verb="made")
-        say(f"  next: gym-open dataset verify {word(self.release)} --quick --key PUBLIC_KEY")
+        signature = sign_release(self.release, self.key)
+        say_made(signature, f"gym-open dataset verify {word(self.release)} --quick --key PUBLIC_KEY")
 
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetPush(Command):
-    """Send a verified release to a Hugging Face hub, tagged with its version. Without --online, only say what would be.
+    """Verify a release, and upload it to a Hugging Face hub with its version as tag. Without --online, print the plan.
 
     Example: gym-open dataset push datasets/open/explore/1.0.0 --repo me/explore --online
     """
@@ -312,25 +309,25 @@ class DatasetPush(Command):
     repo: str
     """OWNER/NAME on the hub."""
     online: bool = False
-    """Really send it."""
+    """Upload it."""
     endpoint: str | None = None
-    """Address of another hub; default HF_ENDPOINT, or huggingface.co."""
+    """Address of the hub; default HF_ENDPOINT, or huggingface.co."""
 
-    about = "send a release to a Hugging Face hub"
+    about = "upload a release to a Hugging Face hub"
 
     def run(self) -> None:
-        """Send, or say what would be sent."""
+        """Upload the release, or print what would be uploaded."""
         from gym_open.datasets.hub import push_release
 
         for line in push_release(self.release, self.repo, send=self.online, endpoint=self.endpoint):
             say(f"  {line}")
         if not self.online:
-            say("nothing was sent; add --online to send it")
+            say("nothing was uploaded; add --online to upload it")
 
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetPull(Command):
-    """Fetch a version of a release from a Hugging Face hub and check it. Without --online, only say what would be done.
+    """Download a version of a release from a Hugging Face hub and verify it. Without --online, only print the plan.
 
     Example: gym-open dataset pull me/explore --version 1.0.0 --online
     """
@@ -338,34 +335,32 @@ class DatasetPull(Command):
     repo: Annotated[str, tyro.conf.Positional]
     """OWNER/NAME on the hub."""
     version: str
-    """Version to fetch."""
+    """Version to download."""
     out: Path | None = None
-    """Folder to put it in; default datasets/OWNER/NAME/VERSION."""
+    """Folder of the release; default datasets/OWNER/NAME/VERSION."""
     online: bool = False
-    """Really fetch it."""
+    """Download it."""
     endpoint: str | None = None
-    """Address of another hub; default HF_ENDPOINT, or huggingface.co."""
+    """Address of the hub; default HF_ENDPOINT, or huggingface.co."""
 
-    about = "fetch a release from a Hugging Face hub and check it"
+    about = "download a release from a Hugging Face hub and verify it"
 
     def run(self) -> None:
-        """Fetch."""
+        """Download the release, or print what would be downloaded."""
         from gym_open.datasets.hub import pull_release
 
         folder = self.out or Path("datasets") / self.repo / self.version
         path = pull_release(self.repo, self.version, folder, send=self.online, endpoint=self.endpoint)
         if not self.online:
-            say(f"would fetch {self.repo} {self.version} to {short(path)}; add --online to do it")
+            say(f"would download {self.repo} {self.version} to {short(path)}; add --online to do it")
             return
-        say(short(path), verb="made")
-        say(f"  next: gym-open dataset verify {word(path)}")
+        say_made(path, f"gym-open dataset verify {word(path)}")
 
 
 def _made(made: artefacts.Outcome) -> None:
     from gym_open.datasets.overview import summary_tables
 
-    for table in summary_tables(made.path):
-        out.print(table)
+    show(*summary_tables(made.path))
     path = word(made.path)
     recording = shlex.quote(f"{made.path.parent.name}-{made.path.name}.rrd")
     report(

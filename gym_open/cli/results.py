@@ -1,4 +1,4 @@
-"""Sub-commands on results: many runs at a time, reports of scores, scores played again, encoders handed on."""
+"""Sub-commands on results: the grid of many runs, reports, verification of scores, and publishing of encoders."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from gym_open.cli.base import Command, Making, out, report, say
+from gym_open.cli.base import ArtefactCommand, Command, out, report, say, say_made, say_next
 from gym_open.config import load
 from gym_open.errors import UsageError
 from gym_open.evaluate.config import ReportConfig
@@ -14,54 +14,54 @@ from gym_open.summary import short, word
 
 
 @dataclass(frozen=True, kw_only=True)
-class Benchmark(Command):
-    """Train and score a grid of agents, tasks and seeds, as many jobs side by side as there are cores, and report.
+class BenchmarkCommand(Command):
+    """Train and score a grid of agents, tasks and seeds, and write a report; one job per core runs at a time.
 
-    What is up to date is skipped; after a kill, the same command goes on where it was.
+    Jobs that are up to date are skipped. After an interruption, the same command continues.
 
     Example: gym-open benchmark evaluate/benchmark-small.toml --out evaluate/benchmarks/small
     """
 
     grid: Annotated[Path, tyro.conf.Positional]
-    """TOML file with the agents, tasks and seeds."""
+    """TOML file with agents, tasks and seeds."""
     out: Path
-    """Folder for all that is made: logs, releases, encoders, policies, scores, report."""
+    """Folder for all results: logs, releases, encoders, policies, scores, report."""
     workspace: Path = Path()
-    """Folder whose configurations the grid names."""
+    """Folder with the configurations that the grid names."""
     jobs: int | None = None
-    """Jobs side by side, of one thread each; default one for each core."""
+    """Number of jobs at a time, each with one thread; default one per core."""
 
-    about = "a grid of agents, tasks and seeds, side by side"
+    about = "train and score a grid of agents, tasks and seeds"
 
     def run(self) -> None:
-        """Run all."""
+        """Run all jobs."""
         from gym_open.grid import run_grid
         from gym_open.grid.config import GridConfig
 
         grid = load(self.grid, GridConfig)
         made = run_grid(grid, self.out, root=self.workspace, jobs=self.jobs, console=out)
-        say(short(made / "report.html"), verb="made")
+        say_made(made / "report.html")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Report(Making):
-    """Put all scores below some folders on one page: tables, intervals, curves, proofs, configurations.
+class ReportCommand(ArtefactCommand):
+    """Report all scores in some folders on one page: tables, intervals, curves, proofs, configurations.
 
     Example: gym-open report evaluate/scores --out evaluate/reports/first
     """
 
     sources: Annotated[tuple[Path, ...], tyro.conf.Positional] = (Path("evaluate/scores"),)
-    """Folders that hold scores, at any depth; probes below them are shown, too. What trained the agents is looked up in
-    the workspace around them."""
+    """Folders with scores and probes, at any depth. The artefacts that trained the agents are found in the workspace of
+    these folders."""
     out: Path = Path("evaluate/reports/report")
     """Folder for the page."""
     settings: Annotated[ReportConfig, tyro.conf.arg(name="")] = ReportConfig()  # noqa: RUF009  (frozen)
-    """How intervals are drawn, and what the agents are compared with."""
+    """How intervals are computed, and with which agent the others are compared."""
 
-    about = "one page of scores, with intervals and proofs"
+    about = "report scores on one page, with intervals and proofs"
 
     def run(self) -> None:
-        """Write it."""
+        """Write the report."""
         from gym_open.evaluate.report import write_report
 
         made = write_report(self.settings, self.sources, self.out)
@@ -70,10 +70,10 @@ class Report(Making):
 
 @dataclass(frozen=True, kw_only=True)
 class ScoreVerify(Command):
-    """Play again what was scored, and work out anew what it claims: rewards, scores, who played, the proof.
+    """Replay scored episodes, and recompute all claims: rewards, scores, who played, and the task-free proof.
 
-    The random agent's actions are drawn again, and the oracle's are the witnesses. A policy's are chosen again if its
-    folder is given; without it, nothing shows that the policy chose them.
+    The random agent's actions are drawn again, and the oracle's actions must be the witnesses. If the folder of the
+    policy is given, the policy chooses its actions again. Without it, nothing proves that the policy chose them.
 
     Example: gym-open score verify evaluate/scores/policy-goal-seeking --policy train/policies/policy-goal-seeking
 
@@ -83,14 +83,14 @@ class ScoreVerify(Command):
     scores: Annotated[Path, tyro.conf.Positional]
     """Folder of scores."""
     puzzle: str | None = None
-    """Only the episode on this puzzle, such as goal-seeking/017."""
+    """Only the episode of this puzzle, such as goal-seeking/017."""
     policy: Path | None = None
-    """Folder of the policy that was scored: let it choose its actions again."""
+    """Folder of the scored policy, which then chooses its actions again."""
 
-    about = "play scored episodes again and check the scores"
+    about = "replay scored episodes and check the scores"
 
     def run(self) -> None:
-        """Verify."""
+        """Verify the scores, or one episode."""
         from gym_open.evaluate.verify import verify_scores
         from gym_open.replay.episodes import replay_puzzle
 
@@ -100,17 +100,17 @@ class ScoreVerify(Command):
             say(f"  {chosen}")
             return
         if self.policy is not None:
-            raise UsageError("score verify: --policy chooses again in all puzzles; leave out --puzzle, or --policy")
+            raise UsageError("score verify: --policy checks all puzzles; leave out --puzzle or --policy")
         found = replay_puzzle(self.scores, self.puzzle)
-        end = "done" if found.terminated else "out of actions"
-        paid = sum(found.rewards)
-        say(f"{found.id}: {len(found.actions)} actions, return {paid:g}, {end}", verb="verified")
-        say(f"  next: gym-open render video {found.id} --actions {word(self.scores)} --save episode.mp4")
+        end = "terminated" if found.terminated else "truncated"
+        total = sum(found.rewards)
+        say(f"{found.id}: {len(found.actions)} actions, return {total:g}, {end}", verb="verified")
+        say_next(f"gym-open render video {found.id} --actions {word(self.scores)} --save episode.mp4")
 
 
 @dataclass(frozen=True, kw_only=True)
 class EncoderPush(Command):
-    """Send an encoder to a Hugging Face hub, with a card and its lineage. Without --online, only say what would be.
+    """Upload an encoder with a card and its lineage to a Hugging Face hub. Without --online, only print the plan.
 
     Example: gym-open encoder push train/encoders/encoder-curl --repo me/open-curl --online
     """
@@ -120,15 +120,15 @@ class EncoderPush(Command):
     repo: str
     """OWNER/NAME on the hub."""
     online: bool = False
-    """Really send it."""
+    """Upload it."""
 
-    about = "send an encoder to a Hugging Face hub"
+    about = "upload an encoder to a Hugging Face hub"
 
     def run(self) -> None:
-        """Send, or say what would be sent."""
+        """Upload the encoder, or print what would be uploaded."""
         from gym_open.train.hub import push_encoder
 
         for line in push_encoder(self.encoder, self.repo, online=self.online):
             say(f"  {line}")
         if not self.online:
-            say("nothing was sent; add --online to send it")
+            say("nothing was uploaded; add --online to upload it")

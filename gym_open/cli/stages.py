@@ -1,4 +1,4 @@
-"""The pipeline's sub-commands: each hands its configuration and paths to a stage."""
+"""The sub-commands of the pipeline: each passes its configuration and paths to a stage."""
 
 import shlex
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, TypeVar
 import tyro
 
 from gym_open import progress, workspace
-from gym_open.cli.base import Command, Making, out, report, say, voice
+from gym_open.cli.base import ArtefactCommand, Command, report, say, say_next, show, voice
 from gym_open.collect.config import CollectConfig
 from gym_open.config import Config
 from gym_open.evaluate.config import EvaluateConfig
@@ -17,25 +17,26 @@ from gym_open.train.config import EncoderTrainConfig, PolicyTrainConfig, ProbeCo
 
 C = TypeVar("C", bound=Config)
 Settings = Annotated[C, tyro.conf.arg(name="")]
-"""A stage's configuration: its fields become options of the sub-command."""
+"""The configuration of a stage, whose fields become options of the sub-command."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StageCommand(Command):
-    """A sub-command whose settings start from a TOML file of the workspace."""
+    """A sub-command that reads its settings from a TOML file of the workspace; options change them."""
 
     settings: Any
     workspace: Path = Path()
     """Folder with the five stage folders."""
     config: Path = Path()
-    """TOML file that the settings start from."""
+    """TOML file with the settings, which options change."""
 
     default: ClassVar[str]
+    """TOML file in the workspace that is used without --config."""
     needs_workspace: ClassVar[bool] = True
-    """Whether it is wrong use where there is no `default` and no --config."""
+    """Whether the command needs `default` or --config; if not, it has built-in settings."""
 
     def place(self, given: Path | None, folder: str, name: str | None = None) -> Path:
-        """Where to write: the path given, or `folder` of the workspace and a name (the configuration's)."""
+        """The output path: the given one, or `folder` of the workspace with a name, by default the configuration's."""
         return given or workspace.check(self.workspace) / folder / (name or self.config.stem)
 
 
@@ -44,27 +45,27 @@ def _recording(made: Path) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Collect(Making, StageCommand):
-    """Explore the sandbox without a task and log every step (MCAP).
+class CollectCommand(ArtefactCommand, StageCommand):
+    """Explore the sandbox without a task, and log every step (MCAP).
 
     Example: gym-open collect --config collect/icm.toml --steps 5000 --out collect/logs/short
     """
 
     settings: Settings[CollectConfig]
     out: Path | None = None
-    """Folder of the logs; default collect/logs/ and the configuration's name."""
+    """Folder of the log; default collect/logs/ with the configuration's name."""
 
     default = "collect/curl-ride.toml"
-    about = "explore the sandbox without a task and log it"
+    about = "explore the sandbox without a task, and log every step"
 
     def run(self) -> None:
-        """Collect."""
+        """Explore."""
         with progress.doing("loading PyTorch"):
             from gym_open.collect.explore import collect
         from gym_open.collect.report import summary_table
 
         made = collect(self.settings, self.place(self.out, "collect/logs"))
-        out.print(summary_table(made.path))
+        show(summary_table(made.path))
         path = word(made.path)
         report(
             made,
@@ -75,24 +76,24 @@ class Collect(Making, StageCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainEncoder(Making, StageCommand):
-    """Learn an encoder from a release, off-line.
+class TrainEncoder(ArtefactCommand, StageCommand):
+    """Train an encoder offline from a release.
 
     Example: gym-open train encoder --release datasets/open/explore/1.0.0 --updates 200
     """
 
     settings: Settings[EncoderTrainConfig]
     release: Path
-    """Folder of a release that `gym-open dataset build` made."""
+    """Folder of a release from `gym-open dataset build`."""
     out: Path | None = None
-    """Folder of the encoder; default train/encoders/ and the configuration's name."""
+    """Folder of the encoder; default train/encoders/ with the configuration's name."""
     tensorboard: Path | None = None
-    """Folder for TensorBoard's event files, written while it learns."""
+    """Folder for TensorBoard's event files, written during training."""
     cache: Path | None = None
-    """Folder that keeps the release's decoded pictures for the next encoder."""
+    """Folder that keeps the release's decoded images for other trainings."""
 
     default = "train/encoder-curl.toml"
-    about = "learn an encoder from a release"
+    about = "train an encoder from a release"
 
     def run(self) -> None:
         """Train."""
@@ -106,10 +107,10 @@ class TrainEncoder(Making, StageCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainPolicy(Making, StageCommand):
+class TrainPolicy(ArtefactCommand, StageCommand):
     """Train a policy on one task with PPO, from an encoder or from scratch.
 
-    The encoder may be one trained off-line from a release, or the one that an explorer ended with, in its log.
+    The encoder is one that was trained offline from a release, or the final encoder of an explorer, in its log.
 
     Example: gym-open train policy --encoder train/encoders/encoder-curl --task goal-seeking
 
@@ -118,14 +119,14 @@ class TrainPolicy(Making, StageCommand):
 
     settings: Settings[PolicyTrainConfig]
     encoder: Path | None = None
-    """Folder of an encoder, or of logs, to start from; without it, from scratch."""
+    """Folder of an encoder or of a log to start from; without it, training starts from scratch."""
     out: Path | None = None
-    """Folder of the policy; default train/policies/ and the configuration's name."""
+    """Folder of the policy; default train/policies/ with the configuration's name."""
     tensorboard: Path | None = None
-    """Folder for TensorBoard's event files, written while it learns."""
+    """Folder for TensorBoard's event files, written during training."""
 
     default = "train/policy-goal-seeking.toml"
-    about = "PPO on a task, from an encoder or from scratch"
+    about = "train a policy on a task with PPO"
 
     def run(self) -> None:
         """Train."""
@@ -138,68 +139,68 @@ class TrainPolicy(Making, StageCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainProbe(Making, StageCommand):
-    """Ask an encoder, by linear probes, where things are on tables that it never saw.
+class TrainProbe(ArtefactCommand, StageCommand):
+    """Measure with linear probes how well an encoder's features locate objects in new worlds.
 
     Example: gym-open train probe --encoder train/encoders/encoder-curl
     """
 
     settings: Settings[ProbeConfig]
     encoder: Path
-    """Folder of an encoder, or of logs whose explorer learned one."""
+    """Folder of an encoder, or of a log whose explorer trained one."""
     out: Path | None = None
-    """Folder of the result; default train/probes/ and the encoder's name."""
+    """Folder of the result; default train/probes/ with the encoder's name."""
 
     default = "train/probe.toml"
-    about = "what an encoder knows, by linear probes"
+    about = "measure an encoder's features with linear probes"
 
     def run(self) -> None:
-        """Probe."""
+        """Train and score the probes."""
         with progress.doing("loading PyTorch"):
             from gym_open.train.probe import probe
 
         made = probe(self.settings, self.encoder, self.place(self.out, "train/probes", self.encoder.name))
-        out.print(probe_table(made.path))
+        show(probe_table(made.path))
         report(made)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evaluate(Making, StageCommand):
-    """Score a policy, or without one uniformly random actions, on a task's 100 fixed puzzles.
+class EvaluateCommand(ArtefactCommand, StageCommand):
+    """Score a policy, or random actions, on the 100 fixed puzzles of a task.
 
-    The oracle replays what a planner that sees everything found: what can be scored at most.
+    The oracle replays the witnesses of a planner that sees the simulator state. Its score is the highest possible one.
 
     Example: gym-open evaluate --policy train/policies/policy-goal-seeking
     """
 
     settings: Settings[EvaluateConfig]
     policy: Path | None = None
-    """Folder of a policy; without it, a random one is scored."""
+    """Folder of a policy; without it, uniformly random actions are scored."""
     oracle: bool = False
-    """Score the puzzles' witnesses instead of a policy."""
+    """Score the witnesses of the puzzles instead of a policy."""
     at: int | None = None
-    """Score the policy as it was at this checkpoint, one that its configuration asked for; default its end."""
+    """Score the policy's checkpoint at this step, which its configuration must list; default the final policy."""
     out: Path | None = None
-    """Folder of the scores; default evaluate/scores/ and what was scored, and how."""
+    """Folder of the scores; default evaluate/scores/ with a name that says what was scored, and how."""
 
     default = "evaluate/goal-seeking.toml"
-    about = "score a policy on the 100 fixed puzzles"
+    about = "score a policy on the 100 fixed puzzles of a task"
 
     def run(self) -> None:
-        """Evaluate."""
+        """Score the policy."""
         with progress.doing("loading the world"):
             from gym_open.evaluate.play import evaluate
 
         name = self._name()
         folder = self.place(self.out, "evaluate/scores", name)
         made = evaluate(self.settings, self.policy, folder, oracle=self.oracle, at=self.at)
-        out.print(score_table({name: made.path}))
+        show(score_table({name: made.path}))
         say(proof_text(name, made.path))
         chosen = f" --policy {word(self.policy)}" if self.policy else ""
         report(made, f"gym-open score verify {word(made.path)}{chosen}", f"gym-open report {word(made.path.parent)}")
 
     def _name(self) -> str:
-        """What was scored, and how if that is not the usual: scores that differ in it stand side by side."""
+        """A name with the policy and all settings that are not the default, so that other scores get other folders."""
         name = self.policy.name if self.policy else f"{self.settings.task}-{'oracle' if self.oracle else 'random'}"
         name += "" if self.at is None else f"-at{self.at}"
         name += "-greedy" if self.policy and self.settings.actions == "greedy" else ""
@@ -207,10 +208,10 @@ class Evaluate(Making, StageCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Run(Making):
-    """Take a workspace through all stages: play, log, release, learn, fine-tune, score, look.
+class RunCommand(ArtefactCommand):
+    """Run all stages in a workspace: explore, release, train an encoder, fine-tune policies, score, visualise.
 
-    What is up to date is skipped; after a kill, the same command goes on where it was.
+    Stages that are up to date are skipped. After an interruption, the same command continues.
 
     Example: gym-open run --workspace ~/my-workspace --seed 1
 
@@ -223,30 +224,30 @@ class Run(Making):
     """Root seed of every stage; part of the artefacts' names."""
 
     stages = True
-    about = "all stages, from play to score; the place to start"
+    about = "run all stages, from exploration to scores; start here"
 
     def run(self) -> None:
-        """Run all."""
+        """Run all stages."""
         from gym_open.pipeline import run
 
         run(self.workspace, self.seed, voice)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Init(Command):
-    """Make a workspace: the five stage folders with their default configurations.
+class InitCommand(Command):
+    """Make a workspace: five stage folders with default configurations.
 
     Example: gym-open init ~/my-workspace
     """
 
     directory: Annotated[Path, tyro.conf.Positional]
-    """Folder to make it in."""
+    """Folder of the workspace."""
 
     about = "make a workspace with the default configurations"
 
     def run(self) -> None:
-        """Make it."""
+        """Make the workspace."""
         for path in workspace.init(self.directory):
             say(f"  {path}")
         say(f"the workspace {self.directory}", verb="made")
-        say(f"  next: gym-open run --workspace {word(self.directory)}")
+        say_next(f"gym-open run --workspace {word(self.directory)}")

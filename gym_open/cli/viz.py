@@ -1,4 +1,4 @@
-"""`gym-open viz`: looking at whatever gym-open makes."""
+"""`gym-open viz`: show anything that gym-open makes."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import tyro
 
-from gym_open.cli.base import say
+from gym_open.cli.base import say_made
 from gym_open.cli.stages import Settings, StageCommand
 from gym_open.errors import UsageError
-from gym_open.summary import short, word
+from gym_open.summary import word
 from gym_open.viz.config import VizConfig
 
 if TYPE_CHECKING:
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 _NO_DEFAULT = tyro.conf.arg(help_behavior_hint="")
 Perhaps = Annotated[T | None, tyro.conf.DisallowNone, _NO_DEFAULT]
-"""An option that is left out or given, of whose default nothing is said."""
+"""An optional value; the help text shows no default for it."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Viz(StageCommand):
-    """Look at a log, a release, an encoder, policies, scores, a benchmark or a report in Rerun.
+class VizCommand(StageCommand):
+    """Show a log, a release, an encoder, policies, scores, a benchmark or a report in Rerun.
 
-    Without --save, --web, --video or --png Rerun's own window opens, and the data stream into it while they are read.
+    Without --save, --web, --video or --png, Rerun's window opens and fills while the source is read.
 
     Example: gym-open viz collect/logs/icm
 
@@ -38,43 +38,43 @@ class Viz(StageCommand):
     """
 
     sources: Annotated[tuple[Path, ...], tyro.conf.Positional, _NO_DEFAULT]
-    """What to look at: a folder of logs or one .mcap file, a release, an encoder, policies or scores (several stand
-    side by side), a benchmark's folder, a report."""
+    """What to show: a log folder or one .mcap file, a release, an encoder, policies or scores (one or several), a
+    benchmark's folder, a report."""
     settings: Settings[VizConfig]
     puzzle: Perhaps[str] = None
-    """Of scores or policies: the puzzle to see played, such as tool-use/017, the solution beside it."""
+    """For scores or policies: show this puzzle, such as tool-use/017, with a solution."""
     episode: Perhaps[int] = None
-    """Of a release: this episode alone."""
+    """For a release: show only this episode."""
     segment: Perhaps[int] = None
-    """Of a log or release: this segment of a stream alone."""
+    """For a log or release: show only this segment of each stream."""
     steps: Perhaps[str] = None
-    """Of a log or release: these steps of its streams alone, A:B, B excluded."""
+    """For a log or release: show only the steps A:B, without B."""
     stream: Perhaps[int] = None
-    """Of a log or release: this stream alone."""
+    """For a log or release: show only this stream."""
     release: Perhaps[Path] = None
-    """Of an encoder: the release whose pictures it is shown; its own random play by default."""
+    """For an encoder: use images of this release; by default, images of random actions."""
     save: Perhaps[Path] = None
-    """Write the recording to this .rrd file."""
+    """Write a recording to this .rrd file."""
     web: bool = False
-    """Show it in a browser, served on this machine alone, until Ctrl-C."""
+    """Serve a page for a browser on this machine, until Ctrl-C."""
     video: Perhaps[Path] = None
-    """Write a film, .mp4 or .gif, with the series under the picture; of several streams the first, or --stream."""
+    """Write a film (.mp4 or .gif); of several streams, it shows the first one or --stream."""
     png: Perhaps[Path] = None
-    """Write one still picture; of several streams the first, or --stream."""
+    """Write a figure (.png); of several streams, it shows the first one or --stream."""
 
     default = "viz/default.toml"
     needs_workspace = False
-    about = "look at anything in Rerun, or as a film or picture"
+    about = "show anything in Rerun, or as a film or figure"
 
     def run(self) -> None:
-        """Open it, or write the file that was asked for."""
+        """Open a window, serve a page, or write a file."""
         from gym_open.viz.config import Choice, parse_steps
 
         asked = [name for name in ("save", "web", "video", "png") if getattr(self, name)]
         if len(asked) > 1:
-            raise UsageError(f"{' and '.join(f'--{name}' for name in asked)}: give one of them")
+            raise UsageError(f"{' and '.join(f'--{name}' for name in asked)}: give only one of these options")
         if not self.sources:
-            raise UsageError("nothing to look at; give a folder or file, such as collect/logs/icm")
+            raise UsageError("no source given; give a folder or file, such as collect/logs/icm")
         steps = None if self.steps is None else parse_steps(self.steps)
         choice = Choice(self.puzzle, self.episode, self.segment, steps, self.release, self.stream)
         if self.video:
@@ -95,12 +95,12 @@ class Viz(StageCommand):
         view = open_view(self.settings, self.sources, choice)
         if self.save:
             path = viewers.save(view, self.save)
-            _made(path, f"  next: rerun {word(path)}")
+            _made(path, f"rerun {word(path)}")
         elif self.web:
             viewers.web(view)
         else:
             viewers.native(view)
 
 
-def _made(path: Path, then: str = "") -> None:
-    say(f"{short(path)}  ({path.stat().st_size / 1e6:.1f} MB)" + (f"\n{then}" if then else ""), verb="made")
+def _made(path: Path, *commands: str) -> None:
+    say_made(path, *commands, note=f"{path.stat().st_size / 1e6:.1f} MB")

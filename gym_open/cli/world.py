@@ -1,4 +1,4 @@
-"""The world's own sub-commands: look at puzzles, check them, serve worlds, let a person play."""
+"""Sub-commands on puzzles and worlds: show, verify and draw puzzles, serve worlds, and let a person play."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from gym_open import workspace
-from gym_open.cli.base import Command, out, report, say
+from gym_open.cli.base import Command, report, say, say_made, say_next, show
 from gym_open.envs.puzzles import Task
 from gym_open.envs.puzzles.sets import Split
 from gym_open.errors import UsageError
 from gym_open.seeding import generator
-from gym_open.summary import score_table, short
+from gym_open.summary import score_table
 
 if TYPE_CHECKING:
     from gym_open.envs.puzzles import Puzzle
@@ -23,7 +23,7 @@ EvaluationTask = Literal["goal-seeking", "preferences", "avoidance", "tool-use"]
 
 @dataclass(frozen=True, kw_only=True)
 class PuzzleShow(Command):
-    """Show a fixed puzzle: its cells from above, its record, its digest, and a solution.
+    """Show a fixed puzzle: its cells from above, its record, its digest and a solution.
 
     Example: gym-open puzzle show tool-use/017
     """
@@ -31,66 +31,66 @@ class PuzzleShow(Command):
     puzzle: Annotated[str, tyro.conf.Positional]
     """Id: tool-use/017 of the test set, tool-use/validation/017 of the validation set."""
 
-    about = "a fixed puzzle and its solution, in the terminal"
+    about = "show a fixed puzzle and its solution in the terminal"
 
     def run(self) -> None:
-        """Show it."""
-        from gym_open.envs.puzzle_report import show
+        """Show the puzzle."""
+        from gym_open.envs import puzzle_report
         from gym_open.envs.puzzles.sets import puzzle_by_id
 
-        out.print(show(self.puzzle))
-        print(f"\n{puzzle_by_id(self.puzzle).to_json().decode()}\n")  # whole on one line, to be copied
-        say(f"  next: gym-open render video {self.puzzle} --save solution.mp4")
+        show(puzzle_report.show(self.puzzle))
+        print(f"\n{puzzle_by_id(self.puzzle).to_json().decode()}\n")  # on one line, so that it can be copied
+        say_next(f"gym-open render video {self.puzzle} --save solution.mp4")
 
 
 @dataclass(frozen=True, kw_only=True)
 class PuzzleVerify(Command):
-    """Check that the fixed puzzles are the published ones and that every witness solves its puzzle here.
+    """Check that the fixed puzzles are the published ones, and that every witness solves its puzzle.
 
     Example: gym-open puzzle verify
     """
 
-    about = "check the fixed puzzles and replay their solutions"
+    about = "check the fixed puzzles, and replay their solutions"
 
     def run(self) -> None:
-        """Check them."""
+        """Check the puzzles."""
         from gym_open.envs.puzzle_report import verify
 
-        out.print(verify())
+        show(verify())
 
 
 @dataclass(frozen=True, kw_only=True)
 class RenderSheet(Command):
-    """Draw puzzles side by side as a PNG. The handsome look needs OpenGL, the observation look nothing.
+    """Draw puzzles side by side as a PNG. The handsome look needs OpenGL; the observation look does not.
 
     Example: gym-open render sheet --task tool-use --save tool-use.png
     """
 
     task: Task = "goal-seeking"
-    """Task whose fixed puzzles are drawn; of the sandbox, worlds drawn from `--seed`."""
+    """Task of the fixed puzzles; the sandbox has random worlds, which depend on `--seed`."""
     split: Split = "test"
-    """Which set of fixed puzzles."""
+    """Set of fixed puzzles."""
     puzzles: tuple[int, int] = (0, 20)
-    """The first, and the one after the last."""
+    """Number of the first puzzle, and of the last puzzle plus one."""
     look: Look = "handsome"
-    """With shadows and gloss, or as an agent sees it."""
+    """`handsome` has shadows and gloss; `observation` is what an agent sees."""
     size: int = 192
-    """Edge of one picture in pixels."""
+    """Edge of one image in pixels."""
     columns: int = 5
-    """Pictures in a row."""
+    """Images per row."""
     seed: int = 0
-    """Of the sandbox's worlds."""
+    """Seed of the sandbox's worlds."""
     save: Path
     """The .png file to write."""
 
-    about = "a picture of many puzzles (PNG)"
+    about = "draw many puzzles as one figure (PNG)"
 
     def run(self) -> None:
-        """Draw them."""
+        """Draw the puzzles."""
         from gym_open.viz.render import contact_sheet
 
         made = contact_sheet(self._puzzles(), self.save, look=self.look, size=self.size, columns=self.columns)
-        say(short(made), verb="made")
+        say_made(made)
 
     def _puzzles(self) -> "dict[str, Puzzle]":
         from gym_open.envs.puzzles.generators import sample_puzzle
@@ -98,7 +98,7 @@ class RenderSheet(Command):
 
         first, last = self.puzzles
         if not 0 <= first < last <= PER_SET:
-            raise UsageError(f"--puzzles: expected first < last within 0 and {PER_SET}, got {first} {last}")
+            raise UsageError(f"--puzzles: expected two rising numbers from 0 to {PER_SET}, got {first} {last}")
         if self.task == "sandbox":
             rng = generator(self.seed, "render", "sandbox")
             return {f"sandbox {i}": sample_puzzle("sandbox", rng) for i in range(last)[first:]}
@@ -108,7 +108,7 @@ class RenderSheet(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class RenderVideo(Command):
-    """Film an episode on a fixed puzzle: its witness, random actions, or what a scored policy or person did.
+    """Film an episode on a fixed puzzle: its witness, random actions, or the actions of a scored policy or person.
 
     Example: gym-open render video tool-use/017 --save solution.mp4
     """
@@ -116,26 +116,26 @@ class RenderVideo(Command):
     puzzle: Annotated[str, tyro.conf.Positional]
     """Id of the puzzle, such as tool-use/017."""
     actions: str = "witness"
-    """`witness`, `random`, or a folder of scores that holds an episode of this puzzle."""
+    """`witness`, `random`, or a folder of scores with an episode of this puzzle."""
     look: Look = "handsome"
-    """With shadows and gloss, or as an agent sees it."""
+    """`handsome` has shadows and gloss; `observation` is what an agent sees."""
     size: int = 512
     """Width of the film in pixels."""
     seed: int = 0
-    """Of random actions."""
+    """Seed of random actions."""
     save: Path
     """The .mp4 or .gif file to write."""
 
-    about = "a film of an episode (MP4, GIF)"
+    about = "film an episode (MP4, GIF)"
 
     def run(self) -> None:
-        """Film it."""
+        """Film the episode."""
         from gym_open.envs.puzzles.sets import puzzle_by_id
         from gym_open.viz.render import episode_video
 
         puzzle = puzzle_by_id(self.puzzle)
         made = episode_video(puzzle, self._actions(puzzle), self.save, name=self.puzzle, look=self.look, size=self.size)
-        say(short(made), verb="made")
+        say_made(made)
 
     def _actions(self, puzzle: "Puzzle") -> list[int]:
         from gym_open.envs.puzzles.witnesses import witness_of
@@ -149,58 +149,58 @@ class RenderVideo(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Serve(Command):
-    """Serve worlds to other hosts, for the paper's own interface; stops at Ctrl-C.
+class ServeCommand(Command):
+    """Serve worlds to other hosts through the paper's interface, until Ctrl-C.
 
     Example: gym-open serve --port 10710
     """
 
     host: str = "127.0.0.1"
-    """Address to listen on; any but this machine's own needs a token."""
+    """Address to listen on; other addresses than the loopback address need a token."""
     port: int = 10710
-    """TCP port; 0 takes a free one."""
+    """TCP port; 0 chooses a free port."""
     token_file: Path | None = None
-    """File with the token that clients must send; without it, the variable GYM_OPEN_TOKEN."""
+    """File with the token that clients must send; by default the environment variable GYM_OPEN_TOKEN."""
     clients: int = 4
-    """Clients at a time, each with a world of its own."""
+    """Number of clients at a time; each has its own world."""
     idle_s: float = 1800.0
-    """Seconds without a call after which a client's world is freed."""
+    """Seconds without a call after which the server frees a client's world."""
 
-    about = "worlds for other hosts, behind the paper's interface"
+    about = "serve worlds to other hosts through the paper's interface"
 
     def run(self) -> None:
-        """Serve."""
+        """Serve worlds."""
         from gym_open.remote.server import serve
 
         serve(self.host, self.port, token_file=self.token_file, clients=self.clients, idle_s=self.idle_s)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Play(Command):
-    """Play the fixed puzzles with the keyboard; every move is logged, and you are scored like a policy.
+class PlayCommand(Command):
+    """Play the fixed puzzles with the keyboard. Every move is logged, and you are scored like a policy.
 
     Example: gym-open play --task avoidance --player Ada --puzzles 0 20
     """
 
     task: EvaluationTask = "goal-seeking"
-    """Task whose fixed puzzles are played."""
+    """Task of the fixed puzzles."""
     split: Split = "test"
-    """The set: `test` is what policies are scored on, `validation` is there to practise."""
+    """Set of fixed puzzles: policies are scored on `test`; `validation` is for practice."""
     puzzles: tuple[int, int] = (0, 100)
-    """The first, and the one after the last."""
+    """Number of the first puzzle, and of the last puzzle plus one."""
     player: str = "player"
-    """Name in the record."""
+    """Your name in the record."""
     picture: Literal["sharp", "agent"] = "sharp"
-    """Drawn in the window's pixels, or as a policy sees it: 84×84, enlarged."""
+    """`sharp` uses all pixels of the window; `agent` is what a policy sees, 84×84 pixels, enlarged."""
     workspace: Path = Path()
     """Folder with the five stage folders."""
     save: Path | None = None
-    """Folder of the scores; default evaluate/scores/ and the task's, player's and set's names."""
+    """Folder of the scores; default evaluate/scores/ with the names of task, player and set."""
 
-    about = "play the fixed puzzles yourself, logged and scored"
+    about = "play the fixed puzzles yourself, with log and score"
 
     def run(self) -> None:
-        """Open the window."""
+        """Open the window, and score the episodes."""
         from gym_open.evaluate.human import HumanConfig, StoppedError, play_as_person
 
         config = HumanConfig(
@@ -210,8 +210,8 @@ class Play(Command):
         folder = self.save or workspace.check(self.workspace) / "evaluate/scores" / name
         try:
             made = play_as_person(config, folder)
-        except StoppedError as stopped:  # as it was meant: no error, but not done either
+        except StoppedError as stopped:  # the player asked to stop: no error, but the set is not finished
             say(str(stopped))
             raise SystemExit(130) from None
-        out.print(score_table({name: made.path}))
+        show(score_table({name: made.path}))
         report(made)

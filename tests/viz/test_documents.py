@@ -34,7 +34,7 @@ def test_raw_json_is_the_configuration_up_to_a_length() -> None:
     assert msgspec.json.decode(raw_json(config).strip("`").removeprefix("json")) == config
     long = raw_json({"x": "y" * 30_000})
     assert len(long) < 21_000
-    assert "more characters are in the file" in long
+    assert "more characters in the file" in long
 
 
 def test_lineage_names_every_ancestor() -> None:
@@ -42,7 +42,7 @@ def test_lineage_names_every_ancestor() -> None:
     release = Lineage("release", "k", "0.2", {"numpy": "2"}, {"content": "f" * 64}, [Parent("d" * 64, {}, log)])
     text = lineage("Lineage", release, {})
     rows = [line for line in text.splitlines() if line.startswith("|")]
-    assert any("release" in row and "this one" in row and "0.2" in row for row in rows)
+    assert any("release" in row and "this artefact" in row and "0.2" in row for row in rows)
     assert any("· log" in row and "d" * 12 in row and "d" * 13 not in row for row in rows)
     assert "| steps | 5 | log |" in rows
     assert "| puzzles | 2 items | log |" in rows
@@ -58,4 +58,4 @@ def test_of_very_many_settings_the_first_are_shown() -> None:
     text = settings("log", {}, {f"setting{i}": i for i in range(1000)})
     assert "| setting499 | 499 |" in text
     assert "| setting500 |" not in text
-    assert "| … | 500 more are in the file |" in text
+    assert "| … | the file has 500 more |" in text

@@ -121,7 +121,7 @@ def test_what_is_no_log_is_refused(tmp_path: Path) -> None:
 def test_the_commands_say_what_to_do_next(whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = Path(shutil.copy(whole, tmp_path))
     assert main(["log", "repair", str(path)]) == 0
-    assert "is whole, nothing to do" in capsys.readouterr().out
+    assert "is complete, nothing to do" in capsys.readouterr().out
     path.write_bytes(whole.read_bytes()[:-20_000])
     assert main(["log", "info", str(path)]) == 0
     assert "at byte" in capsys.readouterr().out
@@ -162,7 +162,7 @@ def test_text_from_a_log_is_only_shown(made_up: Any, tmp_path: Path, capsys: pyt
     assert rf"world, got {HOSTILE[:7]}\x1b]0;gone\x07:x:\u202e, b, c" in error
     assert main(["log", "repair", str(path)]) == 0
     repaired = capsys.readouterr().out
-    assert "[bold].mcap is whole, nothing to do" in repaired
+    assert "[bold].mcap is complete, nothing to do" in repaired
     assert all(text.replace("\n", "").isprintable() for text in (shown, repaired, error.splitlines()[-1]))
 
 

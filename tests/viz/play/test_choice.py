@@ -85,7 +85,7 @@ def test_picked_play_is_shown_in_its_place(log: Path, tmp_path: Path, read_back:
         ({"stream": 7}, r"--stream: .* has the streams 0 to 1, got 7"),
         ({"segment": 9}, r"stream 0: steps 0:24, segments 0 to 3; stream 1: steps 0:6, segments 0"),
         ({"segment": 1, "steps": range(3)}, r"stream 0: steps 0:24, segments 0 to 3, of which 1 is steps 5:17"),
-        ({"steps": range(24, 30)}, "nothing in it is what"),
+        ({"steps": range(24, 30)}, "no step matches --segment and --steps"),
         ({"episode": 1}, "--episode does not apply to a log"),
     ],
 )
@@ -97,7 +97,7 @@ def test_what_is_not_there_is_refused(log: Path, picked: dict[str, Any], message
 def test_an_episode_that_is_not_there_is_refused(release: Path) -> None:
     with pytest.raises(UsageError, match="has the episodes 0 to 7, got 9"):
         play.view(VizConfig(), release, Choice(episode=9))
-    with pytest.raises(UsageError, match="episode 0 is of stream"):
+    with pytest.raises(UsageError, match="episode 0 belongs to stream"):
         play.view(VizConfig(), release, Choice(episode=0, stream=5))
 
 
@@ -112,7 +112,7 @@ def test_a_damaged_log_is_shown_up_to_the_damage(log: Path, tmp_path: Path, read
     steps, levels = recording.column("/stream_0/events", "TextLog:level")
     last = max(range(len(steps)), key=lambda i: levels[i][0] == "ERROR")
     assert (steps[last], levels[last]) == (24, ["ERROR"])
-    assert "the log ends here, after step 23" in texts[last][0]
+    assert "the log is damaged after step 23" in texts[last][0]
     assert "damaged at byte" in recording.static("/stream_0/about/settings", "TextDocument:text")[0]
 
 

@@ -244,7 +244,7 @@ def test_all_is_thinned_by_the_stated_rule(log: Path, segments: list[Segment], t
 def test_the_trail_is_of_this_world_and_of_steps_shown_or_not(
     log: Path, segments: list[Segment], tmp_path: Path, read_back: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gym_open.viz.play.logs.PIECE", 3)
+    monkeypatch.setattr("gym_open.viz.play.logs.SPAN_STEPS", 3)
     recording = read_back(recorded(log, tmp_path / "trail.rrd", VizConfig(max_poses=6, trail_steps=5), stream=0))
     steps, strips = recording.column("/stream_0/table/trail", "LineStrips3D:strips")
     assert set(steps) == {*range(0, 25, 4)} | {segment.first_step for segment in segments}
@@ -257,7 +257,7 @@ def test_the_trail_is_of_this_world_and_of_steps_shown_or_not(
 def test_long_segments_are_drawn_in_pieces(
     log: Path, segments: list[Segment], tmp_path: Path, read_back: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gym_open.viz.play.logs.PIECE", 5)
+    monkeypatch.setattr("gym_open.viz.play.logs.SPAN_STEPS", 5)
     recording = read_back(recorded(log, tmp_path / "pieces.rrd", VizConfig(max_poses=3), stream=0))
     assert list(recording.scalars("/stream_0/series/value")) == list(range(24))
     steps, centres = recording.column("/stream_0/table/agent", "Ellipsoids3D:centers")

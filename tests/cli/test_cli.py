@@ -76,7 +76,7 @@ def test_wrong_use_ends_with_2_and_says_why(
 
 @pytest.mark.parametrize(
     ("name", "said"),
-    [("collect", "no such configuration file"), ("viz", "nothing to look at"), ("run", "not a workspace")],
+    [("collect", "no such configuration file"), ("viz", "no source given"), ("run", "not a workspace")],
 )
 def test_a_command_alone_outside_of_a_workspace_says_what_it_wants(
     name: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
