@@ -1,4 +1,4 @@
-"""Headless Chromium as a camera, over its debugging protocol on a pipe: no port, no library."""
+"""Screenshots with headless Chromium, through its debugging protocol on a pipe: without a port or a library."""
 
 import base64
 import json
@@ -18,20 +18,20 @@ _OPTIONS = (
     "--ignore-gpu-blocklist", "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
 )  # fmt: skip
 _FROM_US, _TO_US = 3, 4
-"""File descriptors that Chromium reads and writes."""
+"""File descriptors that Chromium reads from and writes to."""
 _DRAWN = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 500))))"
-"""What is over when the page, however busy, has drawn itself twice."""
+"""A promise that resolves after the page has drawn itself twice."""
 _EMPTY = 40_000
-"""Bytes of a PNG below which a page of this size has nothing on it."""
+"""A PNG with fewer bytes shows an empty page."""
 
 
 def find() -> str | None:
-    """Chromium's path, or None if there is none."""
+    """The path of Chromium, or None if it is not installed."""
     return next((path for name in _NAMES if (path := shutil.which(name))), None)
 
 
 class Browser:
-    """One page of a browser, which ends when this is left. `events` is all that the page has told."""
+    """One page of a browser, which ends with this context. `events` holds all events of the page."""
 
     def __init__(self, program: str, width: int, height: int) -> None:
         self.events: list[dict[str, Any]] = []
@@ -40,7 +40,7 @@ class Browser:
         self._in, mine = os.pipe()
 
         def wire() -> None:
-            first, second = os.dup(theirs), os.dup(mine)  # either may be 3 or 4 already
+            first, second = os.dup(theirs), os.dup(mine)  # either of them may already be 3 or 4
             os.dup2(first, _FROM_US)
             os.dup2(second, _TO_US)
 
@@ -81,7 +81,7 @@ class Browser:
         self._home.cleanup()
 
     def call(self, method: str, **values: Any) -> dict[str, Any]:
-        """Ask the browser for something and return its answer."""
+        """Call a method of the browser, and return its result."""
         self._sent += 1
         message = {"id": self._sent, "method": method, "params": values}
         if self._session:
@@ -105,15 +105,15 @@ class Browser:
         return json.loads(message)
 
     def open(self, address: str) -> None:
-        """Go to a page."""
+        """Open a page."""
         self.call("Page.navigate", url=address)
 
     def picture(self) -> bytes:
-        """The page as it is now, a PNG."""
+        """A screenshot of the page as PNG."""
         return base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
 
     def still(self, *, limit: float = 120.0, calm: float = 8.0) -> bytes:
-        """The page as soon as something is on it and it has not changed for `calm` seconds, else after `limit`."""
+        """A screenshot when the page is not empty and has not changed for `calm` seconds, at latest after `limit`."""
         until, since, last = time.monotonic() + limit, time.monotonic(), b""
         while time.monotonic() < until:
             time.sleep(0.5)
@@ -126,7 +126,7 @@ class Browser:
         return last
 
     def click(self, x: int, y: int) -> None:
-        """Click there, and take the pointer away."""
+        """Click at a position, and move the pointer away."""
         for kind, count in (("mouseMoved", 0), ("mousePressed", 1), ("mouseReleased", 1)):
             self._point(kind, x, y, button="left" if count else "none", clickCount=count)
             time.sleep(0.2)

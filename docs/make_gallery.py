@@ -1,9 +1,9 @@
-"""Makes the pictures of gallery.md: a small run of everything, and what `gym-open viz` shows of it.
+"""Make the images of gallery.md: run a small experiment, and show its results with `gym-open viz`.
 
     python docs/make_gallery.py
-    python docs/make_gallery.py --run DIR       keeps the run there, or takes the one that is there
+    python docs/make_gallery.py --run DIR       keep the experiment in DIR, or use the one that is there
 
-Rerun's views are photographed in headless Chromium. Without one, films and stills are made, and it is said what is not.
+Headless Chromium takes the screenshots of Rerun's views. Without Chromium, only films and figures are made.
 """
 
 import argparse
@@ -27,7 +27,7 @@ PICTURES = Path(__file__).parent / "pictures" / "gallery"
 WIDTH, HEIGHT = 1280, 800
 MOST_BYTES = 150_000
 PATIENCE = 400.0
-"""Seconds for one view, on a machine that has other work and no graphics card."""
+"""Limit of seconds per view, for a busy machine without a graphics card."""
 CONFIGURATIONS = {
     "collect/gallery.toml": """
         steps = 4096
@@ -74,8 +74,8 @@ POLICIES = [f"train/policies/{agent}-goal-seeking-seed{seed}" for agent in ("sta
 PUZZLE = ["--puzzle", "goal-seeking/017"]
 
 
-class Shot(NamedTuple):
-    """One view: the picture's name, what `gym-open viz` is given, and where is clicked before it is taken."""
+class Screenshot(NamedTuple):
+    """The name of an image, the arguments of `gym-open viz`, and positions to click first."""
 
     name: str
     words: list[str]
@@ -83,16 +83,16 @@ class Shot(NamedTuple):
 
 
 SHOTS = (
-    Shot("log", [LOG, "--stream", "0", "--steps", "300:700"]),
-    Shot("damaged", [DAMAGED, "--steps", "500:800"]),
-    Shot("episode", [RELEASE, "--episode", "3"]),
-    Shot("puzzle", [*SCORES, *PUZZLE]),
-    Shot("policy", [POLICIES[0], *PUZZLE]),
-    Shot("scores", [*SCORES, *REFERENCES]),
-    Shot("encoder", [ENCODER, "--release", RELEASE]),
-    Shot("policies", POLICIES),
-    Shot("probe", ["train/probes/gallery-encoder-of-gallery-seed0"]),
-    Shot("benchmark", ["."]),
+    Screenshot("log", [LOG, "--stream", "0", "--steps", "300:700"]),
+    Screenshot("damaged", [DAMAGED, "--steps", "500:800"]),
+    Screenshot("episode", [RELEASE, "--episode", "3"]),
+    Screenshot("puzzle", [*SCORES, *PUZZLE]),
+    Screenshot("policy", [POLICIES[0], *PUZZLE]),
+    Screenshot("scores", [*SCORES, *REFERENCES]),
+    Screenshot("encoder", [ENCODER, "--release", RELEASE]),
+    Screenshot("policies", POLICIES),
+    Screenshot("probe", ["train/probes/gallery-encoder-of-gallery-seed0"]),
+    Screenshot("benchmark", ["."]),
 )
 FILES = {
     "still-log.png": [LOG, "--png"],
@@ -102,10 +102,10 @@ FILES = {
 
 
 def main() -> int:
-    """Make all, or those that are named."""
+    """Make all images, or those that the command line names."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--run", type=Path, help="folder that the run is made in, or was made in before")
-    parser.add_argument("names", nargs="*", help="which pictures; all by default")
+    parser.add_argument("--run", type=Path, help="folder of the experiment, which is used again if it exists")
+    parser.add_argument("names", nargs="*", help="names of images; all by default")
     options = parser.parse_args()
     with ExitStack() as stack:
         root = options.run or Path(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -118,7 +118,7 @@ def main() -> int:
                     keep(PICTURES / name, (PICTURES / name).read_bytes())
         program = find()
         if program is None:
-            print("no Chromium here: the pictures of Rerun's views stay as they are")
+            print("Chromium is missing: the screenshots of Rerun's views do not change")
             return 1
         for shot in SHOTS:
             if chosen(shot.name):
@@ -127,7 +127,7 @@ def main() -> int:
 
 
 def make_run(root: Path) -> Path:
-    """A grid of two agents, with all that it needs; its folder, with a damaged log beside the others."""
+    """Run a grid of two agents, add a damaged log, and return the folder."""
     if not (root / "gallery.toml").exists():
         workspace.init(root)
         for name, text in CONFIGURATIONS.items():
@@ -142,17 +142,17 @@ def make_run(root: Path) -> Path:
 
 
 def gym_open(*words: str, folder: Path) -> None:
-    """Run a command in a folder, and stop with it if it fails."""
+    """Run a command in a folder; fail if it fails."""
     subprocess.run(command(*words), cwd=folder, check=True)  # noqa: S603  (our own command)
 
 
 def command(*words: str) -> list[str]:
-    """What starts `gym-open` with these words."""
+    """The command line of `gym-open` with these arguments."""
     return [sys.executable, "-m", "gym_open.cli", *words]
 
 
-def photograph(program: str, shot: Shot, folder: Path) -> bytes:
-    """PNG of a view in Rerun's web viewer."""
+def photograph(program: str, shot: Screenshot, folder: Path) -> bytes:
+    """Take a screenshot (PNG) of a view in Rerun's web viewer."""
     words = command("viz", *shot.words, "--web")
     with subprocess.Popen(words, cwd=folder, stdout=subprocess.PIPE, text=True) as viewer:  # noqa: S603
         try:
@@ -160,7 +160,7 @@ def photograph(program: str, shot: Shot, folder: Path) -> bytes:
             said = "".join(itertools.takewhile(lambda line: "all data is loaded" not in line, viewer.stdout))
             address = re.search(r"http://127\.0\.0\.1:\d+", said)
             if address is None or viewer.poll() is not None:
-                raise SystemExit(f"{shot.name}: gym-open viz has not served it")
+                raise SystemExit(f"{shot.name}: gym-open viz did not serve the view")
             with Browser(program, WIDTH, HEIGHT) as browser:
                 browser.open(address[0])
                 picture = browser.still(limit=PATIENCE)
@@ -173,7 +173,7 @@ def photograph(program: str, shot: Shot, folder: Path) -> bytes:
 
 
 def keep(path: Path, picture: bytes) -> None:
-    """Write the picture as large, and with as many colours, as a small file has room for."""
+    """Write the image with the largest size and number of colours that the file limit allows."""
     image, small = Image.open(BytesIO(picture)).convert("RGB"), BytesIO()
     for width, colours in ((WIDTH, 256), (WIDTH, 64), (960, 256), (960, 64), (640, 64)):
         fitting = image.resize((width, round(image.height * width / image.width)), Image.Resampling.LANCZOS)
