@@ -90,7 +90,7 @@ def raw_json(value: Mapping[str, Any]) -> str:
     return f"{fence}json\n{text}\n{fence}"
 
 
-def _ancestors(record: Lineage, depth: int = 0, digest: str = "this artefact") -> Iterator[tuple[int, str, Lineage]]:
+def _ancestors(record: Lineage, depth: int = 0, digest: str = "(itself)") -> Iterator[tuple[int, str, Lineage]]:
     yield depth, digest, record
     for parent in record.parents:
         yield from _ancestors(parent.lineage, depth + 1, parent.digest)

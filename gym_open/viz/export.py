@@ -45,7 +45,7 @@ def write_still(config: VizConfig, sources: Sequence[Path], choice: Choice, out:
     """
     check_suffix(out, (".png",))
     png = draw_png(*_page(config, sources, choice))
-    return write_whole(out, lambda beside: beside.write_bytes(png))
+    return write_whole(out, lambda partial: partial.write_bytes(png))
 
 
 def _page(config: VizConfig, sources: Sequence[Path], choice: Choice) -> PageDrawing:

@@ -10,6 +10,7 @@ import numpy as np
 from gym_open import artefacts
 from gym_open.errors import ArtefactError
 from gym_open.plots import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, draw_png, finish
+from gym_open.viz.film import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,9 +51,7 @@ def draw_run_figure(log: Path, others: Sequence[Path], save: Path) -> Path:
             finish(axes)
 
     png = draw_png(15, 4.6, paint, dpi=120)
-    beside = save.with_name(f".{save.name}.tmp")
-    beside.write_bytes(png)
-    return beside.replace(save)
+    return write_whole(save, lambda partial: partial.write_bytes(png))
 
 
 def _exploration(axes: "Axes", log: Path) -> None:

@@ -24,7 +24,7 @@ def write_film(out: Path, frames: Iterator[np.ndarray], fps: int) -> Path:
     at most 50 frames per second.
     """
     write = _write_mp4 if out.suffix == ".mp4" else _write_gif
-    return write_whole(out, lambda beside: write(beside, frames, fps))
+    return write_whole(out, lambda partial: write(partial, frames, fps))
 
 
 def write_whole(out: Path, write: Callable[[Path], Any]) -> Path:
@@ -35,20 +35,20 @@ def write_whole(out: Path, write: Callable[[Path], Any]) -> Path:
         UsageError: if `out` lies in a finished artefact.
     """
     refuse_artefact(out)
-    beside = out.with_name(f".{out.name}.{os.getpid()}.tmp")
+    partial = out.with_name(f".{out.name}.{os.getpid()}.tmp")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        beside.touch()
+        partial.touch()
     except OSError as error:
         raise unwritable(out, error) from None
     with interruptible():
         try:
-            write(beside)
-            return beside.replace(out)
+            write(partial)
+            return partial.replace(out)
         except OSError as error:
             raise unwritable(out, error) from None
         finally:
-            beside.unlink(missing_ok=True)
+            partial.unlink(missing_ok=True)
 
 
 def refuse_artefact(out: Path) -> None:

@@ -71,7 +71,7 @@ def contact_sheet(
     """
     check_suffix(out, (".png",))
     sheet = draw_sheet(puzzles, look=look, size=size, columns=columns, options=options)
-    return write_whole(out, lambda beside: sheet.save(beside, format="PNG"))
+    return write_whole(out, lambda partial: sheet.save(partial, format="PNG"))
 
 
 def draw_sheet(

@@ -50,7 +50,7 @@ def save(view: View, path: Path) -> Path:
     """
     if path.suffix != ".rrd":
         raise UsageError(f"{path}: a recording's name must end in .rrd, got {path.suffix or 'no ending'!r}")
-    return write_whole(path, lambda beside: beside.write_bytes(_recorded(view)))
+    return write_whole(path, lambda partial: partial.write_bytes(_recorded(view)))
 
 
 def native(view: View) -> None:

@@ -1,4 +1,4 @@
-"""Recordings read back, and a log that was staged for what a viewer must show."""
+"""Recordings that are read back, and a log that was made for tests of viewers."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -13,7 +13,7 @@ from gym_open.config import Config
 
 
 class Recording:
-    """A recording read back, a column at a time: the only one of a file, or that with the id."""
+    """A recording that is read back column by column: the only one in a file, or the one with the id."""
 
     def __init__(self, path: Path, recording_id: str | None = None) -> None:
         reader = RrdReader(path)
@@ -45,22 +45,22 @@ class Recording:
 
 @pytest.fixture(scope="session")
 def read_back() -> Callable[..., Recording]:
-    """`read_back(path)` gives what a recording holds; `read_back(path, id)` one of several in a file."""
+    """`read_back(path)` reads a recording; `read_back(path, id)` reads one of several recordings in a file."""
     return Recording
 
 
 class Staged(Config, frozen=True):
-    """Stands for the configuration of the staged log."""
+    """Replaces the configuration of the staged log."""
 
     seed: int = 0
 
 
 STILL, AWAY = 40, 6
-"""Steps in which the agent pushes and stays where it is, and steps after that."""
+"""Steps in which the agent pushes without moving, and steps after that."""
 
 
 def _write(folder: Path) -> dict[str, Any]:
-    """One stream, two worlds: the agent is stuck from step 32 on, gets free, goes east; depth and segmentation."""
+    """A log of one stream and two worlds, with depth and segmentation; the agent gets stuck at step 32."""
     from gym_open.envs.physics.model import INVENTORY, model_xml
     from gym_open.envs.puzzles.generators import sample_puzzle
     from gym_open.formats.logs import LogHead, LogWriter, SegmentStart, StepMetrics, StepRecord, Stuck, Switch

@@ -1,4 +1,4 @@
-"""What a person may pick, and what is refused."""
+"""Selections that are valid, and selections that are refused."""
 
 import msgspec
 import pytest
@@ -7,7 +7,7 @@ from gym_open.errors import UsageError
 from gym_open.viz.config import Choice, parse_steps
 
 
-def test_steps_are_half_open_and_either_end_may_be_left_out() -> None:
+def test_steps_are_half_open_and_each_end_is_optional() -> None:
     assert list(parse_steps("3:6")) == [3, 4, 5]
     assert parse_steps(":2") == range(2)
     assert parse_steps("7:").start == 7
@@ -32,7 +32,7 @@ def test_a_negative_number_is_refused_by_name(name: str) -> None:
         msgspec.convert({name: -1}, Choice)
 
 
-def test_what_cannot_be_picked_is_refused_by_name() -> None:
+def test_an_option_that_does_not_apply_is_refused_by_name() -> None:
     choice = Choice(puzzle="tool-use/017", stream=0)
     choice.refuse_others("scores", {"puzzle", "stream"})
     with pytest.raises(UsageError, match=r"--puzzle does not apply to a log; .*--steps, --stream"):

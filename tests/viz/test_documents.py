@@ -1,4 +1,4 @@
-"""Documents: what comes from a file is shown, and means nothing to whoever draws it."""
+"""Documents show text from files as it is, without markup."""
 
 import re
 
@@ -15,7 +15,7 @@ def test_settings_are_named_with_dots() -> None:
     }  # fmt: skip
 
 
-def test_markdown_and_escapes_in_settings_are_only_shown() -> None:
+def test_markdown_and_escapes_in_settings_have_no_effect() -> None:
     hostile = {"a|b": "[click](https://example.org) <img src=x>\x1b[2J", "fence": "```\n# heading\n````"}
     text = settings("title | # `x`", {"damaged": "| **all**"}, hostile)
     before, raw = text.split("## JSON\n")
@@ -42,7 +42,7 @@ def test_lineage_names_every_ancestor() -> None:
     release = Lineage("release", "k", "0.2", {"numpy": "2"}, {"content": "f" * 64}, [Parent("d" * 64, {}, log)])
     text = lineage("Lineage", release, {})
     rows = [line for line in text.splitlines() if line.startswith("|")]
-    assert any("release" in row and "this artefact" in row and "0.2" in row for row in rows)
+    assert any("release" in row and "(itself)" in row and "0.2" in row for row in rows)
     assert any("· log" in row and "d" * 12 in row and "d" * 13 not in row for row in rows)
     assert "| steps | 5 | log |" in rows
     assert "| puzzles | 2 items | log |" in rows
@@ -54,7 +54,7 @@ def test_one_file_has_no_lineage() -> None:
     assert "| file | a\\_b |" in lineage("Lineage", None, {"file": "a_b"})
 
 
-def test_of_very_many_settings_the_first_are_shown() -> None:
+def test_only_the_first_of_very_many_settings_are_shown() -> None:
     text = settings("log", {}, {f"setting{i}": i for i in range(1000)})
     assert "| setting499 | 499 |" in text
     assert "| setting500 |" not in text

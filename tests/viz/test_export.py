@@ -1,4 +1,4 @@
-"""Films and pages for people without Rerun: they show what was recorded, when it was."""
+"""Films and pages for people without Rerun are decoded and compared with the recorded data."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -36,14 +36,14 @@ def log(make_log: MakeLog) -> Path:
     return make_log()
 
 
-def test_a_page_of_play(log: Path, tmp_path: Path) -> None:
+def test_a_page_of_a_log(log: Path, tmp_path: Path) -> None:
     with Image.open(write_still(PLAIN, [log], Choice(), tmp_path / "new" / "play.png")) as page:
         assert page.width > 1200
         assert np.ptp(np.asarray(page.convert("L"))) == 255
     assert [path.name for path in (tmp_path / "new").iterdir()] == ["play.png"]
 
 
-def test_play_is_drawn_as_it_was_recorded(log: Path) -> None:
+def test_a_page_shows_the_recorded_data(log: Path) -> None:
     title, streams = open_streams(log, Choice())
     _, _, paint = play_page(title, streams)
     axes = drawn(paint)
@@ -51,7 +51,9 @@ def test_play_is_drawn_as_it_was_recorded(log: Path) -> None:
     every = [np.concatenate([getattr(item, name) for item in segments]) for name in ("intrinsic_reward", "value")]
     (reward,) = axes["intrinsic reward"].get_lines()
     for line, values in ((reward, every[0]), (axes["policy"].get_lines()[1], every[1])):
-        np.testing.assert_allclose(line.get_ydata(), [*values, values[-1]])  # the last holds until its step's end
+        np.testing.assert_allclose(
+            line.get_ydata(), [*values, values[-1]]
+        )  # the last value holds until the end of its step
         np.testing.assert_array_equal(line.get_xdata(), np.arange(25))
     assert axes["world-model loss"].get_lines()[1].get_ydata()[0] == 0.25
     first = axes["step 0\nworld 0"].get_images()[0].get_array()
@@ -61,7 +63,7 @@ def test_play_is_drawn_as_it_was_recorded(log: Path) -> None:
 
 
 def test_the_page_names_the_steps_and_the_counts(make_log: MakeLog) -> None:
-    """One step, seen in one cell: there is a line, and a bar of colours without formulas."""
+    """Even with one step in one cell there is a line, and a colour bar without formulas."""
     title, streams = open_streams(make_log(lengths=((1,),)), Choice())
     _, _, paint = play_page(title, streams)
     figure = Figure(layout="constrained")
@@ -75,7 +77,7 @@ def test_the_page_names_the_steps_and_the_counts(make_log: MakeLog) -> None:
     assert not any("$" in label.get_text() for label in bar.get_xticklabels(which="both"))
 
 
-def test_play_without_a_world_model_says_nothing_of_it(make_log: MakeLog) -> None:
+def test_a_page_without_a_world_model_has_no_loss(make_log: MakeLog) -> None:
     title, streams = open_streams(make_log(lengths=((1,),), world_model=False), Choice())
     _, _, paint = play_page(title, streams)
     axes = drawn(paint)
@@ -84,7 +86,7 @@ def test_play_without_a_world_model_says_nothing_of_it(make_log: MakeLog) -> Non
     assert sum(name.startswith("step ") for name in axes) == 2
 
 
-def test_a_reward_that_nothing_made_is_not_drawn(staged_log: Path) -> None:
+def test_a_reward_without_a_source_is_not_drawn(staged_log: Path) -> None:
     title, streams = open_streams(staged_log, Choice())
     _, _, paint = play_page(title, streams)
     axes = drawn(paint)
@@ -99,14 +101,14 @@ def frames_of(path: Path) -> np.ndarray:
     return np.array(frames)
 
 
-def test_a_film_of_play_shows_each_step_and_the_last_observation(log: Path, tmp_path: Path) -> None:
+def test_a_film_of_a_log_shows_each_step_and_the_last_observation(log: Path, tmp_path: Path) -> None:
     out = write_video(PLAIN, [log], Choice(), tmp_path / "new" / "play.mp4")
     frames = frames_of(out)
     segments = list(open_log(log_files(log)[0]).segments())
     images = np.concatenate([*[segment.images[:-1] for segment in segments], segments[-1].images[-1:]])
     assert len(frames) == len(images) == 25
-    middle = ((np.arange(84) + 0.5) * 480 / 84).astype(int)  # of each pixel; the observation is shown once, large
-    seen = frames[:, middle][:, :, middle].astype(float)  # coding loses colour, not which picture it is
+    middle = ((np.arange(84) + 0.5) * 480 / 84).astype(int)  # the middle of each pixel of the enlarged observation
+    seen = frames[:, middle][:, :, middle].astype(float)  # coding changes colours, but images stay distinguishable
     apart = np.abs(seen[:, None] - images[None]).mean(axis=(2, 3, 4))
     assert apart.argmin(axis=1).tolist() == list(range(25))
     assert list(out.parent.iterdir()) == [out]
@@ -125,24 +127,30 @@ def test_a_preview_is_thinned_and_holds_means(log: Path) -> None:
     assert shown.steps[-1].action is None
     assert [plot.level for plot in shown.plots()] == [None, 0.25, None, None]
     for curve in shown.plots()[0].lines:
-        assert (curve.x[-1], curve.y[-1]) == (24, rewards[-1])  # a step is as wide as the others
+        assert (curve.x[-1], curve.y[-1]) == (24, rewards[-1])  # the last step is as wide as the others
 
 
-def test_part_of_play_is_shown(log: Path) -> None:
+def test_a_selected_part_is_previewed(log: Path) -> None:
     _, streams = open_streams(log, Choice(segment=1, stream=0))
     assert [step.step for step in preview(streams[0], 100).steps] == list(range(5, 18))
     _, streams = open_streams(log, Choice(steps=range(7, 19), stream=0))
-    assert [step.step for step in preview(streams[0], 5).steps] == [7, 10, 13, 16, 19]  # from its own first on
+    assert [step.step for step in preview(streams[0], 5).steps] == [
+        7,
+        10,
+        13,
+        16,
+        19,
+    ]  # counted from the first selected step
 
 
-def test_a_gif_of_play(log: Path, tmp_path: Path) -> None:
+def test_a_gif_of_a_log(log: Path, tmp_path: Path) -> None:
     config = VizConfig(film_look="observation", film_pictures=3)
     with Image.open(write_video(config, [log], Choice(stream=1), tmp_path / "play.gif")) as film:
         assert film.n_frames == 4  # pyright: ignore
         assert film.width == 740
 
 
-def test_what_fails_half_way_leaves_what_was_there(tmp_path: Path) -> None:
+def test_a_failed_film_keeps_the_old_file(tmp_path: Path) -> None:
     def write(beside: Path) -> None:
         beside.write_text("half")
         raise ArtefactError("it is damaged")

@@ -1,4 +1,4 @@
-"""The run's figure: drawn from whatever is there, with the numbers of the artefacts in it."""
+"""The figure of a run shows the numbers of the artefacts that exist."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -17,14 +17,14 @@ from gym_open.viz.figures import draw_run_figure
 
 
 class Curriculum(Config, frozen=True):
-    """As `collect` has it."""
+    """Keys as in the configuration of `collect`."""
 
     rule: str = "loss"
     threshold: float = 1.0
 
 
 class Settings(Config, frozen=True):
-    """As `collect` has it."""
+    """Keys as in the configuration of `collect`."""
 
     curriculum: Curriculum = Curriculum()
 
@@ -73,7 +73,7 @@ def scores(folder: Path, within: list[float], parents: list[Path], agent: str = 
 
 
 def drawn(monkeypatch: pytest.MonkeyPatch, log: Path, others: list[Path], save: Path) -> Figure:
-    """The figure as it was when it was written."""
+    """The figure at the time when it is written."""
     kept: list[Figure] = []
     original = Figure.subplots
 
@@ -104,7 +104,7 @@ def test_lines_are_the_artefacts_numbers(sources: list[Path], tmp_path: Path, mo
     assert all(axes.get_xlabel() and axes.get_ylabel() for axes in (left, middle, right))
 
 
-def test_the_picture_is_whole_and_repeats(sources: list[Path], tmp_path: Path) -> None:
+def test_the_file_is_complete_and_reproducible(sources: list[Path], tmp_path: Path) -> None:
     log, *others = sources
     first, second = (draw_run_figure(log, others, tmp_path / f"{i}.png") for i in range(2))
     assert first.read_bytes() == second.read_bytes()
@@ -113,9 +113,7 @@ def test_the_picture_is_whole_and_repeats(sources: list[Path], tmp_path: Path) -
     assert not list(tmp_path.glob(".*.tmp"))
 
 
-def test_nothing_to_draw_is_said_not_raised(
-    sources: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_missing_data_is_no_error(sources: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _, middle, right = drawn(monkeypatch, sources[0], [], tmp_path / "run.png").axes
     assert [axes.texts[0].get_text() for axes in (middle, right)] == ["no data", "no data"]
 

@@ -1,4 +1,4 @@
-"""What others' viewers make of our files: Rerun's own loader of logs, LeRobot's viewer of releases."""
+"""Other viewers of our files: Rerun's loader of logs, and LeRobot's viewer of releases."""
 
 import os
 import subprocess
@@ -23,7 +23,7 @@ ReadBack = Callable[..., Any]
 
 
 def column(recording: Any, index: str, entity: str, component: str) -> list[Any]:
-    """Values of a component that is logged once a moment."""
+    """Values of a component that has one value per time."""
     return [value[0] for value in recording.column(entity, component, index)[1]]
 
 
@@ -32,7 +32,7 @@ def log(make_log: Callable[..., Path]) -> Path:
     return make_log(lengths=((5, 12),), reward_parts=("forward",))
 
 
-def test_reruns_own_loader_shows_pictures_figures_and_words(log: Path, tmp_path: Path, read_back: ReadBack) -> None:
+def test_reruns_loader_shows_images_numbers_and_text(log: Path, tmp_path: Path, read_back: ReadBack) -> None:
     ((file,),) = log_files(log)
     words = [*PROGRAM, "mcap", "convert", str(file), "-o", str(tmp_path / "theirs.rrd")]
     done = run(words, stdin=subprocess.DEVNULL)
@@ -41,7 +41,9 @@ def test_reruns_own_loader_shows_pictures_figures_and_words(log: Path, tmp_path:
     segments = list(open_logs(log)[0].segments())
 
     pictures = column(theirs, "message_log_time", "/observation/image", "Image:buffer")
-    ours = np.concatenate([segments[0].images[:-1], segments[1].images])  # of two of one moment, the later is shown
+    ours = np.concatenate(
+        [segments[0].images[:-1], segments[1].images]
+    )  # of two images at the same time, the later one is shown
     assert np.array_equal(np.array(pictures, np.uint8).reshape(-1, 84, 84, 3), ours)
     names = ["intrinsic_reward", "world_model_loss", "policy_entropy", "value", "intrinsic_reward/forward"]
     assert theirs.column("/metrics/position", "SeriesLines:names", "message_log_time")[1] == [names] * 17
@@ -92,7 +94,7 @@ visualize_dataset(LeRobotDataset("open/explore", root=root, episodes=[1]), 1, sa
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("no_figures")
-def test_lerobots_viewer_shows_pictures_actions_and_the_agents_state(
+def test_lerobots_viewer_shows_images_actions_and_the_agents_state(
     log: Path, tmp_path: Path, read_back: ReadBack
 ) -> None:
     release = build_release(ReleaseConfig(max_episode_steps=256), [log], tmp_path / "release").path
@@ -107,7 +109,7 @@ def test_lerobots_viewer_shows_pictures_actions_and_the_agents_state(
     assert np.array_equal(np.array(pictures, np.uint8).reshape(-1, 84, 84, 3), ours.images(frames))
     numbers = ours.numbers(first, stop)
     for entity, name, width in (("action", "action", 9), ("state", "observation.state", 13)):
-        if sys.version_info >= (3, 12):  # LeRobot 0.6 logs a vector as one entity, 0.4 each number as one
+        if sys.version_info >= (3, 12):  # LeRobot 0.6 logs one entity per vector, 0.4 one entity per number
             drawn = theirs.column(f"/{entity}", "Scalars:scalars", "frame_index")[1]
         else:
             each = [column(theirs, "frame_index", f"/{entity}/{i}", "Scalars:scalars") for i in range(width)]

@@ -1,4 +1,4 @@
-"""Which view it is, is told by what a person points at; what cannot be looked at is refused with what can."""
+"""The sources decide about the view; a source without a view is refused, and the message names those with one."""
 
 import importlib
 from collections.abc import Callable
@@ -16,16 +16,16 @@ from gym_open.viz.recording import kind_of, open_view, visualize
 
 MakeLog = Callable[..., Path]
 SEVERAL = {"puzzles", "curves"}
-"""Views of any number of sources."""
+"""Views that accept several sources."""
 
 
 class Nothing(Config, frozen=True):
-    """No settings."""
+    """An empty configuration."""
 
 
 @pytest.fixture(scope="module")
 def sources(make_log: MakeLog, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Something of each kind, by name; there is nothing in it but logs."""
+    """One artefact of each kind, by name; only the logs have content."""
     folder = tmp_path_factory.mktemp("sources")
     made = {"log": make_log(lengths=((3,),))}
     made["file"] = log_files(made["log"])[0][0]
@@ -49,7 +49,7 @@ def sources(make_log: MakeLog, tmp_path_factory: pytest.TempPathFactory) -> dict
 
 @pytest.fixture
 def opened(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Any]]:
-    """What is opened: the view's module, and its sources."""
+    """Collects the modules of opened views with their sources."""
     calls: list[tuple[str, Any]] = []
     for name in ("play", "puzzles", "features", "curves"):
 
@@ -104,14 +104,14 @@ def test_each_kind_has_its_view(
         (["empty"], {}, ArtefactError, "not made by gym-open, or incomplete"),
     ],
 )
-def test_what_cannot_be_seen_is_refused(
+def test_sources_without_a_view_are_refused(
     sources: dict[str, Path], names: list[str], choice: dict[str, Any], error: type[Exception], message: str
 ) -> None:
     with pytest.raises(error, match=message):
         open_view(VizConfig(), [sources[name] for name in names], Choice(**choice))
 
 
-def test_nothing_is_there(tmp_path: Path) -> None:
+def test_a_missing_source_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ArtefactError, match="nowhere: no such file or folder; give a log"):
         kind_of(tmp_path / "nowhere")
 

@@ -1,4 +1,4 @@
-"""Contact sheets and films: decoded again, they show what was drawn and played."""
+"""Contact sheets and films are decoded and compared with the puzzles and the played steps."""
 
 from pathlib import Path
 
@@ -25,7 +25,7 @@ needs_gl = pytest.mark.skipif(
     reason="no OpenGL here: on Debian, apt-get install libegl1 libopengl0 libgl1-mesa-dri",
 )
 STRAIGHT = Puzzle("goal-seeking", arranged([Placement("agent", 8, 2), Placement("yellow", 8, 5)]))
-"""The third move to the east touches the goal."""
+"""A puzzle whose goal is touched by the third move to the east."""
 
 
 def frames_of(path: Path) -> np.ndarray:
@@ -68,35 +68,35 @@ def test_a_handsome_sheet_has_the_agents_red(tmp_path: Path) -> None:
     assert sheet.shape[1] == 200 + 2 * (200 // 24)
     red = np.argwhere(is_red(sheet))
     assert len(red) > 10
-    assert np.ptp(red, axis=0).max() < 20  # one small thing
+    assert np.ptp(red, axis=0).max() < 20  # a single small object
 
 
-def test_a_film_has_its_frames_and_shows_the_move(tmp_path: Path) -> None:
+def test_a_film_has_all_frames_and_shows_motion(tmp_path: Path) -> None:
     out = episode_video(STRAIGHT, [1, 0, 1, 1, 1, 1], tmp_path / "film.mp4", look="observation", size=253, fps=20)
     frames = frames_of(out)
     held = round(0.8 * 20)
-    # The goal is touched at the fourth action, the third move: the rest is not played.
+    # The fourth action, which is the third move, touches the goal and ends the episode.
     assert len(frames) == 2 * held + 4 * 5
     assert frames.shape[2] == 254  # even
     assert frames.shape[1] % 2 == 0
     across = np.array([np.argwhere(is_red(frame[:253])).mean(axis=0)[1] for frame in frames])
     still, moves = across[:held], across[held : held + 5]
     assert np.ptp(still) < 0.5
-    assert (np.diff([still[-1], *moves]) > 0.5).all()  # seen on the way, not only where it arrives
+    assert (np.diff([still[-1], *moves]) > 0.5).all()  # frames between the steps show the motion
     assert np.ptp(across[held + 5 : held + 10]) < 0.5  # action 0
     turned = frames[-1][:253].astype(int)
     assert ((turned[..., 2] > 120) & (turned[..., 0] < 60)).sum() > 20  # the goal's hit colour
     captions = [frame[260:].min(axis=2) < 100 for frame in (frames[0], frames[-1])]
-    assert captions[1].sum() > captions[0].sum() > 50  # action and reward are told once there are some
+    assert captions[1].sum() > captions[0].sum() > 50  # action and reward are in the caption after the first step
     assert list(tmp_path.iterdir()) == [out]
 
 
-def test_a_gif_lasts_as_long(tmp_path: Path) -> None:
+def test_a_gif_has_the_same_duration(tmp_path: Path) -> None:
     out = episode_video(STRAIGHT, [3, 5], tmp_path / "film.gif", look="observation", size=84, fps=25)
     with Image.open(out) as film:
         assert film.size == (84, film.size[1])
         shown_s = 0.0
-        for i in range(film.n_frames):  # equal pictures are stored once, shown longer  # pyright: ignore
+        for i in range(film.n_frames):  # equal frames are stored once and shown longer  # pyright: ignore
             film.seek(i)
             shown_s += film.info["duration"] / 1000
     assert shown_s == pytest.approx((2 * 20 + 2 * 5) / 25, abs=0.1)
@@ -109,7 +109,7 @@ def test_a_handsome_film(tmp_path: Path) -> None:
     assert is_red(frames[0]).sum() > 5
 
 
-def test_wrong_use_is_refused_before_anything_is_drawn(tmp_path: Path) -> None:
+def test_wrong_use_is_refused_before_drawing(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"film\.avi: expected a file name that ends in \.mp4 or \.gif, got '\.avi'"):
         episode_video(STRAIGHT, [1], tmp_path / "film.avi")
     with pytest.raises(UsageError, match=r"\.png, got none"):
@@ -131,7 +131,7 @@ def test_a_film_that_fails_leaves_nothing(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_random_actions_are_the_budget_and_repeat() -> None:
+def test_random_actions_fill_the_budget_and_are_reproducible() -> None:
     actions = random_actions(STRAIGHT, np.random.default_rng(3))
     assert actions == random_actions(STRAIGHT, np.random.default_rng(3))
     assert len(actions) == 100

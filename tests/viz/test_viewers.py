@@ -1,4 +1,4 @@
-"""Where views go: files whole or absent, a window only where there is one, a page on loopback and nowhere else."""
+"""Destinations of views: complete files, a window only with a display, and a page only on the loopback address."""
 
 import importlib.util
 import io
@@ -33,7 +33,7 @@ STEPS, VALUES = np.arange(1000), np.sin(np.arange(1000) / 50)
 VERMILION = (213, 94, 0)
 SERVE = """
 import runpy, signal, sys
-signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests themselves run in the background
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell ignores SIGINT for background processes
 sys.path.insert(0, sys.argv[1])
 runpy.run_path(sys.argv[2])[sys.argv[3]]()
 """
@@ -50,13 +50,13 @@ def wave() -> View:
 
 
 def serve() -> None:
-    """In a process of its own."""
+    """Runs in a separate process."""
     viewers._PATIENCE = HANG_S
     viewers.web(wave())
 
 
 def serve_and_swallow() -> None:
-    """A library swallows the KeyboardInterrupt of Ctrl-C. In a process of its own."""
+    """A library swallows the KeyboardInterrupt of Ctrl-C. Runs in a separate process."""
 
     def fill(rec: rr.RecordingStream) -> None:
         wave().fill(rec)
@@ -76,7 +76,7 @@ def broken(error: Exception) -> View:
     return wave()._replace(fill=fill)
 
 
-def test_a_saved_view_is_whole(tmp_path: Path, read_back: Callable[[Path], Any]) -> None:
+def test_a_saved_view_is_complete(tmp_path: Path, read_back: Callable[[Path], Any]) -> None:
     path = viewers.save(wave(), tmp_path / "deep" / "wave.rrd")
     recording = read_back(path)
     steps, values = recording.column("/wave", "Scalars:scalars")
@@ -86,7 +86,7 @@ def test_a_saved_view_is_whole(tmp_path: Path, read_back: Callable[[Path], Any])
     assert [item.name for item in path.parent.iterdir()] == ["wave.rrd"]
 
 
-def test_a_view_that_fails_leaves_what_was_there(tmp_path: Path) -> None:
+def test_a_failed_view_keeps_the_old_file(tmp_path: Path) -> None:
     (tmp_path / "old.rrd").write_text("old")
     for name in ("old.rrd", "new.rrd"):
         with pytest.raises(ArtefactError, match="is damaged"):
@@ -94,7 +94,7 @@ def test_a_view_that_fails_leaves_what_was_there(tmp_path: Path) -> None:
     assert [(item.name, item.read_text()) for item in tmp_path.iterdir()] == [("old.rrd", "old")]
 
 
-def test_whoever_is_told_to_end_leaves_nothing(tmp_path: Path) -> None:
+def test_a_terminated_process_leaves_no_file(tmp_path: Path) -> None:
     hidden: list[str] = []
 
     def fill(rec: rr.RecordingStream) -> None:
@@ -104,12 +104,12 @@ def test_whoever_is_told_to_end_leaves_nothing(tmp_path: Path) -> None:
 
     with pytest.raises(KeyboardInterrupt):
         viewers.save(wave()._replace(fill=fill), tmp_path / "wave.rrd")
-    assert hidden == [f".wave.rrd.{os.getpid()}.tmp"]  # another process writes another file
+    assert hidden == [f".wave.rrd.{os.getpid()}.tmp"]  # another process writes to another file
     assert list(tmp_path.iterdir()) == []
     assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
 
 
-def test_nothing_is_written_into_an_artefact(tmp_path: Path) -> None:
+def test_no_file_is_written_into_an_artefact(tmp_path: Path) -> None:
     for name in ("manifest.json", "lineage.json"):
         (tmp_path / name).touch()
     before = sorted(tmp_path.iterdir())
@@ -120,7 +120,7 @@ def test_nothing_is_written_into_an_artefact(tmp_path: Path) -> None:
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_a_full_disk_is_told_and_leaves_nothing(tmp_path: Path) -> None:
+def test_a_full_disk_is_an_error_and_leaves_no_file(tmp_path: Path) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
     try:
@@ -131,7 +131,7 @@ def test_a_full_disk_is_told_and_leaves_nothing(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_place_that_cannot_be_written_and_another_ending_are_refused(tmp_path: Path) -> None:
+def test_an_unwritable_path_and_another_suffix_are_refused(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(ArtefactError, match="cannot be written"):
         viewers.save(wave(), tmp_path / "file" / "wave.rrd")
@@ -145,7 +145,7 @@ def test_without_a_display_no_window_is_opened(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.delenv("DISPLAY", raising=False)
     with pytest.raises(UsageError, match=r"DISPLAY is not set.*--save FILE\.rrd, --web"):
         viewers.native(wave())
-    monkeypatch.setenv("DISPLAY", ":987")  # nobody's
+    monkeypatch.setenv("DISPLAY", ":987")  # no display has this number
     monkeypatch.setattr(viewers, "_PATIENCE", HANG_S)
     monkeypatch.setattr(viewers, "_GRACE", HANG_S)
     with pytest.raises(GymOpenError, match=r"Rerun's viewer ended \(Error: .*X server.*--save"):
@@ -154,7 +154,7 @@ def test_without_a_display_no_window_is_opened(monkeypatch: pytest.MonkeyPatch) 
 
 @pytest.fixture
 def served() -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """A process that serves the wave, and the address that it prints."""
+    """A process that serves the wave, and its printed address."""
     words = [sys.executable, "-c", SERVE, str(ROOT), __file__, "serve"]
     with started(words, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -181,7 +181,7 @@ def listening(process: int) -> set[str]:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGKILL])
-def test_the_page_is_on_loopback_alone_and_no_child_is_left(
+def test_the_page_is_on_the_loopback_address_only_and_no_child_is_left(
     served: tuple[subprocess.Popen[str], str], sign: signal.Signals
 ) -> None:
     process, address = served
@@ -217,7 +217,7 @@ def camera() -> ModuleType:
 
 
 @pytest.mark.slow
-def test_a_browser_shows_the_page_and_asks_nobody_else(
+def test_a_browser_shows_the_page_and_contacts_no_other_host(
     served: tuple[subprocess.Popen[str], str], camera: ModuleType
 ) -> None:
     program = camera.find()

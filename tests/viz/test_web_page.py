@@ -1,4 +1,4 @@
-"""The page's own server: it answers what is asked of this machine, and outlives whoever hangs up."""
+"""The server of the page answers only requests to this machine, and survives closed connections."""
 
 import http.client
 import http.server
@@ -16,7 +16,7 @@ from tests.children import HANG_S, until
 
 
 class Inner(http.server.BaseHTTPRequestHandler):
-    """Stands for Rerun's own server."""
+    """Replaces Rerun's server."""
 
     def do_GET(self) -> None:
         self.send_response(200)
@@ -43,9 +43,7 @@ def status(page: PageServer, host: str | None = None, path: str = "/favicon.svg"
         return connection.getresponse().status
 
 
-def test_another_machines_name_is_refused_and_a_proxy_not_asked(
-    page: PageServer, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_host_name_is_refused_and_no_proxy_is_used(page: PageServer, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("http_proxy", f"http://{LOOPBACK}:9")
     assert [status(page, host) for host in (None, "localhost:8000", "localhost")] == [200] * 3
     assert [status(page, host) for host in ("evil.example", "evil.example:9090", "127.0.0.1.evil.example:1")] == [
@@ -58,15 +56,17 @@ def test_only_the_files_of_the_page_are_passed_on(page: PageServer) -> None:
     assert [status(page, path=path) for path in ("/other", "/re_viewer.js/..")] == [404] * 2
 
 
-def test_a_tab_that_closes_is_no_error(page: PageServer, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_closed_tab_is_no_error(page: PageServer, capsys: pytest.CaptureFixture[str]) -> None:
     with socket.create_connection((LOOPBACK, page.port)) as browser:
         browser.sendall(b"GET /favicon.svg HTTP/1.0\r\nHost: localhost\r\n\r\n")
-        browser.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # cuts the connection
+        browser.setsockopt(
+            socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0)
+        )  # closes the connection at once
     assert status(page) == 200
     until(lambda: not [one for one in threading.enumerate() if "process_request" in one.name])
     assert capsys.readouterr().err == ""
 
 
-def test_when_the_viewer_is_gone_the_page_says_so() -> None:
+def test_without_the_viewer_the_page_reports_an_error() -> None:
     with PageServer(free_port(0), free_port(0), 1) as page:
         assert status(page) == 502

@@ -1,4 +1,4 @@
-"""What is said of features, against closed forms and searches of another kind."""
+"""The analysis of features, checked by closed forms and other search algorithms."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ from gym_open.viz.features.frames import Frames
 
 
 def made(deviations: list[float], n: int = 200, width: int = 12) -> tuple[np.ndarray, np.ndarray]:
-    """Features with known directions and deviations along them, and the points that they were made of."""
+    """Features with known directions and standard deviations, and the points that they were made from."""
     rng = np.random.default_rng(3)
     scores = rng.normal(size=(n, len(deviations)))
     scores = np.linalg.qr(scores - scores.mean(axis=0))[0] * np.sqrt(n) * deviations
@@ -24,7 +24,7 @@ def made(deviations: list[float], n: int = 200, width: int = 12) -> tuple[np.nda
     return scores @ directions + rng.normal(size=width), scores
 
 
-def test_components_are_the_directions_that_features_were_made_of() -> None:
+def test_components_are_the_directions_from_which_features_were_made() -> None:
     features, scores = made([4.0, 2.0, 1.0])
     found = analyse(features)
     assert found.explained[:3] == pytest.approx(np.array([16, 4, 1]) / 21)
@@ -35,11 +35,13 @@ def test_components_are_the_directions_that_features_were_made_of() -> None:
     assert (components_for(found.explained, 0.7), components_for(found.explained, 0.9)) == (1, 2)
 
 
-def test_signs_do_not_depend_on_the_order_of_pictures() -> None:
+def test_signs_do_not_depend_on_the_order_of_images() -> None:
     features, _ = made([4.0, 2.0, 1.0])
     order = np.random.default_rng(0).permutation(len(features))
     assert np.allclose(analyse(features[order]).points, analyse(features).points[order])
-    assert np.allclose(analyse(10 * features).points, analyse(features).points)  # in units of the first deviation
+    assert np.allclose(
+        analyse(10 * features).points, analyse(features).points
+    )  # in units of the first standard deviation
 
 
 def test_the_effective_rank_of_equal_directions_is_their_number() -> None:
@@ -68,7 +70,7 @@ def test_dead_units_are_those_that_never_change() -> None:
 
 
 @pytest.mark.parametrize(("n", "k"), [(1, 0), (2, 1), (3, 2)])
-def test_few_pictures_and_constant_features_are_no_accident(n: int, k: int) -> None:
+def test_few_images_and_constant_features_are_no_error(n: int, k: int) -> None:
     for features in (np.zeros((n, 4)), np.arange(4.0 * n).reshape(n, 4)):
         found = analyse(features)
         assert found.near.shape == found.distances.shape == (n, k)
@@ -79,7 +81,7 @@ def test_few_pictures_and_constant_features_are_no_accident(n: int, k: int) -> N
     assert (constant.rank, constant.dead, components_for(constant.explained, 0.9)) == (0.0, 4, 0)
 
 
-def test_how_alike_neighbours_are() -> None:
+def test_share_of_the_same_world_and_distance_of_the_agent() -> None:
     frames = Frames(
         origin="", images=np.zeros((3, 84, 84, 3), np.uint8), captions=["", "", ""], worlds=np.array([0, 0, 1]),
         agent=np.array([[0.0, 0.0], [0.141, 0.0], [0.0, 0.423]]), goal=np.zeros(3),

@@ -1,4 +1,4 @@
-"""The recording of an encoder, read back: pictures, points, neighbours are those of the release and the encoder."""
+"""The recording of an encoder is read back: images, points and neighbours match the release and the encoder."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -32,11 +32,11 @@ CURVE = '{"columns": ["update", "loss", "held_out_loss"], "rows": [[100, 0.5, nu
 
 
 class Nothing(Config, frozen=True):
-    """No settings."""
+    """An empty configuration."""
 
 
 class Drawn(NamedTuple):
-    """A view of the encoder's features of a release."""
+    """The view of an encoder's features of a release."""
 
     path: Path
     release: Release
@@ -89,7 +89,7 @@ def drawn(release: Path, tmp_path_factory: pytest.TempPathFactory, read_back: Ca
 
 
 def neighbours(drawn: Drawn) -> np.ndarray:
-    """(14, 4): by the encoder itself, and a search of its own."""
+    """Neighbours (14, 4), computed with the encoder and a separate search."""
     images = torch.from_numpy(drawn.release.images(np.arange(len(drawn.release))))
     found = drawn.encoder.encode(images).double()
     apart = torch.cdist(found, found).numpy()
@@ -97,8 +97,8 @@ def neighbours(drawn: Drawn) -> np.ndarray:
     return np.argsort(apart, axis=1)[:, :4]
 
 
-def test_pictures_are_the_releases_and_neighbours_the_encoders(drawn: Drawn) -> None:
-    """A release of fewer frames than are shown is shown whole, in its own order."""
+def test_images_are_the_releases_and_neighbours_the_encoders(drawn: Drawn) -> None:
+    """A release with few frames is shown completely, in its own order."""
     images = drawn.release.images(np.arange(len(drawn.release)))
     shown = [decode_png(bytes(blob[0])) for blob in drawn.column("/shown/image", "EncodedImage:blob")]
     assert np.array_equal(shown, images)
@@ -120,9 +120,7 @@ def test_marked_points_are_the_frame_and_its_neighbours(drawn: Drawn, kind: str,
     assert not np.allclose(untrained, cloud)
 
 
-def test_the_untrained_encoder_shares_the_mean_picture_and_nothing_else(
-    drawn: Drawn, release: Path, tmp_path: Path
-) -> None:
+def test_the_untrained_encoder_shares_only_the_mean_image(drawn: Drawn, release: Path, tmp_path: Path) -> None:
     clouds = [drawn.static("/untrained/space/world", "Points3D:positions")]
     for seed, mean in ((2, 0.0), (1, 100.0)):
         encoder = Encoder(SMALL, torch.Generator().manual_seed(seed))
@@ -137,7 +135,7 @@ def test_the_untrained_encoder_shares_the_mean_picture_and_nothing_else(
 
 
 def test_the_second_component_goes_up(drawn: Drawn) -> None:
-    """Rerun's planes have y downwards."""
+    """The y axis points down in Rerun's 2D views."""
     plane = np.array(drawn.static("/trained/plane/world", "Points2D:positions"))
     space = np.array(drawn.static("/trained/space/world", "Points3D:positions"))
     assert np.array_equal(plane, space[:, :2] * (1, -1))
@@ -174,7 +172,7 @@ def test_a_sample_is_drawn_without_replacement_and_always_the_same(release: Path
     assert np.array_equal(one.images, other.images)
 
 
-def test_what_is_true_of_a_frame_is_what_the_release_says(release: Path) -> None:
+def test_facts_about_a_frame_are_those_of_the_release(release: Path) -> None:
     opened = open_release(release)
     frames = of_release(opened)
     assert np.allclose(frames.agent, opened.column("observation.state")[:, :2])
@@ -188,7 +186,7 @@ def test_what_is_true_of_a_frame_is_what_the_release_says(release: Path) -> None
         assert np.isnan(frames.goal[i]) if not apart else frames.goal[i] == pytest.approx(min(apart))
 
 
-def test_random_play_is_in_worlds_of_its_own() -> None:
+def test_random_actions_are_in_new_worlds() -> None:
     frames = of_random_actions(45)
     assert len(frames) == 45
     assert np.array_equal(frames.worlds, np.arange(45) // 2)
@@ -198,7 +196,7 @@ def test_random_play_is_in_worlds_of_its_own() -> None:
     assert np.array_equal(of_random_actions(3).images[0], frames.images[0])
 
 
-def test_what_has_no_encoder_of_pictures_is_refused(tmp_path: Path, release: Path, make_log: MakeLog) -> None:
+def test_a_source_without_an_encoder_of_images_is_refused(tmp_path: Path, release: Path, make_log: MakeLog) -> None:
     told = EncoderConfig(architecture="state", features=8)
     policy = ActorCritic(make_encoder(told, torch.Generator()), 9, torch.Generator())
     state = build(tmp_path / "state", "policy", lambda partial: save_policy(partial, policy))

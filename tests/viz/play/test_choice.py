@@ -1,4 +1,4 @@
-"""Part of play that was picked, and play that is damaged."""
+"""Selected parts of logs and releases, and damaged logs."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -50,7 +50,7 @@ def of_log(log: Path, stream: int, steps: range) -> dict[int, float]:
         ({"segment": 1, "steps": range(9, 99)}, {"stream_0": range(9, 17)}),
     ],
 )
-def test_what_was_picked_is_shown_and_no_more(
+def test_only_the_selected_part_is_shown(
     request: pytest.FixtureRequest, log: Path, tmp_path: Path, read_back: Any,
     *, kind: str, picked: dict[str, Any], expected: dict[str, range],
 ) -> None:  # fmt: skip
@@ -67,8 +67,8 @@ def test_an_episode_of_a_release(release: Path, log: Path, tmp_path: Path, read_
     assert found == {f"stream_{row['stream']}": pytest.approx(of_log(log, int(row["stream"]), steps), rel=1e-6)}
 
 
-def test_picked_play_is_shown_in_its_place(log: Path, tmp_path: Path, read_back: Any) -> None:
-    """Sizes and names of objects, the last observation, and the losses that the world was chosen by."""
+def test_a_selected_part_is_shown_with_its_context(log: Path, tmp_path: Path, read_back: Any) -> None:
+    """The context is sizes and names of objects, the last observation, and the losses at the last switch."""
     path = viewers.save(play.view(VizConfig(), log, Choice(steps=range(7, 19))), tmp_path / "part.rrd")
     recording = read_back(path)
     assert recording.column("/stream_0/table/agent", "Ellipsoids3D:labels")[0] == [7, 17]
@@ -89,12 +89,12 @@ def test_picked_play_is_shown_in_its_place(log: Path, tmp_path: Path, read_back:
         ({"episode": 1}, "--episode does not apply to a log"),
     ],
 )
-def test_what_is_not_there_is_refused(log: Path, picked: dict[str, Any], message: str) -> None:
+def test_a_part_that_does_not_exist_is_refused(log: Path, picked: dict[str, Any], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         play.view(VizConfig(), log, Choice(**picked))
 
 
-def test_an_episode_that_is_not_there_is_refused(release: Path) -> None:
+def test_an_episode_that_does_not_exist_is_refused(release: Path) -> None:
     with pytest.raises(UsageError, match="has the episodes 0 to 7, got 9"):
         play.view(VizConfig(), release, Choice(episode=9))
     with pytest.raises(UsageError, match="episode 0 belongs to stream"):
@@ -104,7 +104,7 @@ def test_an_episode_that_is_not_there_is_refused(release: Path) -> None:
 def test_a_damaged_log_is_shown_up_to_the_damage(log: Path, tmp_path: Path, read_back: Any) -> None:
     ((whole,), _) = log_files(log)
     cut = tmp_path / whole.name
-    cut.write_bytes(whole.read_bytes()[:-100])  # of the index alone: all steps are whole
+    cut.write_bytes(whole.read_bytes()[:-100])  # only the index is cut off: all steps are complete
     recording = read_back(viewers.save(play.view(VizConfig(), cut, Choice()), tmp_path / "cut.rrd"))
     found = recording.scalars("/stream_0/series/intrinsic_reward")
     assert found == of_log(log, 0, range(24))
@@ -116,7 +116,7 @@ def test_a_damaged_log_is_shown_up_to_the_damage(log: Path, tmp_path: Path, read
     assert "damaged at byte" in recording.static("/stream_0/about/settings", "TextDocument:text")[0]
 
 
-def test_a_log_in_which_nothing_is_whole_is_refused(log: Path, tmp_path: Path) -> None:
+def test_a_log_without_a_complete_step_is_refused(log: Path, tmp_path: Path) -> None:
     whole = log_files(log)[0][0]
     cut = tmp_path / whole.name
     cut.write_bytes(whole.read_bytes()[:3000])

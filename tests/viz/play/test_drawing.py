@@ -1,4 +1,4 @@
-"""Recordings of play are read back: what they hold is what the log and the release hold."""
+"""Recordings of logs and releases are read back and compared with their sources."""
 
 import math
 from collections.abc import Callable
@@ -86,11 +86,11 @@ def test_sim_time_is_steps_in_seconds(recording: Any) -> None:
 
 
 def shown(segments: list[Segment], of: Callable[[Segment], np.ndarray]) -> np.ndarray:
-    """Observations by step: all but the last of each segment, and the stream's last."""
+    """Observations by step: without the last one of each segment, but with the last one of the stream."""
     return np.concatenate([*(of(segment)[:-1] for segment in segments), of(segments[-1])[-1:]])
 
 
-def test_pictures_are_the_logs(recording: Any, segments: list[Segment]) -> None:
+def test_images_are_the_logs(recording: Any, segments: list[Segment]) -> None:
     steps, blobs = recording.column("/stream_0/observation/image", "EncodedImage:blob")
     expected = shown(segments, lambda segment: segment.images)
     assert steps == list(range(len(expected)))
@@ -112,7 +112,7 @@ def test_pictures_are_the_logs(recording: Any, segments: list[Segment]) -> None:
 def test_objects_are_where_the_log_says(
     recording: Any, segments: list[Segment], kind: str, archetype: str, length: float
 ) -> None:
-    """`green_2` and `heavy_11` are parked in this log: they are not drawn."""
+    """`green_2` and `heavy_11` are parked in this log, so they are not drawn."""
     names = segments[0].object_names
     there = [i for i, name in enumerate(names) if name.split("_")[0] == kind and name not in {"green_2", "heavy_11"}]
     expected = shown(segments, lambda segment: segment.object_state)[:, there]
@@ -136,7 +136,7 @@ def test_trail_and_moves_follow_the_agent(recording: Any, segments: list[Segment
     actions = np.concatenate([segment.actions for segment in segments])
     assert steps == list(range(len(actions)))
     angles = {action: np.arctan2(arrow[0][1], arrow[0][0]) for action, arrow in zip(actions, arrows, strict=True)}
-    for action, angle in angles.items():  # 1 is east, and on by eighths of a turn to the left
+    for action, angle in angles.items():  # 1 is east; the next ones turn left by 45 degrees each
         still = not np.linalg.norm(arrows[actions.tolist().index(action)][0])
         assert still == (action == 0)
         assert still or math.isclose(math.cos(angle - (action - 1) * math.pi / 4), 1.0, abs_tol=1e-6)
@@ -166,7 +166,7 @@ def test_switches_losses_and_threshold(recording: Any, log: Path) -> None:
     assert recording.scalars("/stream_0/threshold") == {0: 0.25, 24: 0.25}
     steps, bars = recording.column("/stream_0/world_losses", "BarChart:values")
     lines = recording.column("/stream_0/world_loss", "Scalars:scalars")
-    assert steps == lines[0] == [switch.step for switch in switches[1:]]  # nothing was visited at the start
+    assert steps == lines[0] == [switch.step for switch in switches[1:]]  # no world was visited at the start
     for (bar,), line in zip(bars, lines[1], strict=True):
         assert np.array_equal(bar["buffer"], [0.5, math.nan, 0.25], equal_nan=True)
         assert np.array_equal(line, [0.5, math.nan, 0.25], equal_nan=True)
@@ -180,7 +180,7 @@ def test_the_world_lane_is_the_segments(recording: Any, segments: list[Segment])
     assert set(lane) == edges
 
 
-def test_segments_tell_what_came_of_them(recording: Any, segments: list[Segment]) -> None:
+def test_segments_have_facts(recording: Any, segments: list[Segment]) -> None:
     listed = recording.static("/stream_0/segments", "TextDocument:text")[0]
     for segment in segments:
         entity = f"/stream_0/segments/segment_{segment.index:04d}"
@@ -225,7 +225,9 @@ def test_contacts_are_arrows(log: Path, segments: list[Segment], tmp_path: Path,
         ] * len(found)
 
 
-def test_all_is_thinned_by_the_stated_rule(log: Path, segments: list[Segment], tmp_path: Path, read_back: Any) -> None:
+def test_everything_is_thinned_by_the_documented_rule(
+    log: Path, segments: list[Segment], tmp_path: Path, read_back: Any
+) -> None:
     config = VizConfig(max_images=4, max_poses=8, max_points=11)
     thin = read_back(recorded(log, tmp_path / "thin.rrd", config, stream=0))
     starts = {segment.first_step for segment in segments}
@@ -238,10 +240,10 @@ def test_all_is_thinned_by_the_stated_rule(log: Path, segments: list[Segment], t
         steps, values = thin.column(entity, component)
         assert set(steps) == {step for step in range(24) if step % math.ceil(24 / limit) == 0} | starts | ends
         if component.startswith("Tensor"):
-            assert [sum(item["buffer"]) for (item,) in values] == steps  # what is not shown is counted
+            assert [sum(item["buffer"]) for (item,) in values] == steps  # steps that are not shown count, too
 
 
-def test_the_trail_is_of_this_world_and_of_steps_shown_or_not(
+def test_the_trail_has_shown_and_other_steps_of_its_segment_only(
     log: Path, segments: list[Segment], tmp_path: Path, read_back: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("gym_open.viz.play.logs.SPAN_STEPS", 3)
@@ -254,7 +256,7 @@ def test_the_trail_is_of_this_world_and_of_steps_shown_or_not(
         assert np.allclose(strip, path if len(path) > 1 else [path[0]] * 2, rtol=1e-6)
 
 
-def test_long_segments_are_drawn_in_pieces(
+def test_long_segments_are_drawn_in_spans(
     log: Path, segments: list[Segment], tmp_path: Path, read_back: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("gym_open.viz.play.logs.SPAN_STEPS", 5)
@@ -266,7 +268,7 @@ def test_long_segments_are_drawn_in_pieces(
     assert np.allclose(centres, expected[steps], rtol=1e-6)
 
 
-def test_a_loss_that_is_no_number_is_drawn_as_a_gap(make_log: MakeLog, tmp_path: Path, read_back: Any) -> None:
+def test_a_loss_that_is_nan_is_drawn_as_a_gap(make_log: MakeLog, tmp_path: Path, read_back: Any) -> None:
     source = make_log(lengths=((3, 2),), world_model=False)
     recording = read_back(recorded(source, tmp_path / "gap.rrd"))
     assert all(math.isnan(value) for value in recording.scalars("/stream_0/series/world_model_loss").values())
@@ -298,7 +300,7 @@ def staged_release(staged_log: Path, no_figures: None, tmp_path_factory: pytest.
     return build_release(ReleaseConfig(max_episode_steps=7), [staged_log], out).path
 
 
-def test_who_is_stuck_is_the_same_of_a_log_and_its_release(
+def test_a_log_and_its_release_agree_on_what_is_stuck(
     staged_log: Path, staged_release: Path, tmp_path: Path, read_back: Any
 ) -> None:
     told: list[list[tuple[int, str, str]]] = []
@@ -319,11 +321,11 @@ def test_who_is_stuck_is_the_same_of_a_log_and_its_release(
     ("steps", "at", "words"),
     [
         (range(20, 32), 32, "agent stuck at"),
-        (range(32, 41), 41, "agent free again at"),  # stuck after step 31, which is not shown
+        (range(32, 41), 41, "agent free again at"),  # got stuck after step 31, which is not shown
         (range(34, 45), 41, "agent free again at"),
     ],
 )
-def test_of_picked_steps_is_told_what_follows_each(
+def test_selected_steps_have_the_events_after_each_of_them(
     request: pytest.FixtureRequest, tmp_path: Path, read_back: Any, *, kind: str, steps: range, at: int, words: str
 ) -> None:
     recording = read_back(recorded(request.getfixturevalue(kind), tmp_path / "cut.rrd", steps=steps))

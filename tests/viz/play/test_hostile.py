@@ -1,4 +1,4 @@
-"""Logs and releases that are whole by their digests, and yet say what cannot be."""
+"""Logs and releases whose digests match, although their contents are impossible."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -41,7 +41,7 @@ def test_a_log_without_an_agent_is_refused(tmp_path: Path) -> None:
         logs.open_streams(tmp_path)
 
 
-def test_a_release_tells_a_loss_for_each_world(
+def test_a_release_has_a_loss_for_each_world(
     make_log: MakeLog, no_figures: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     release = open_release(build_release(ReleaseConfig(), [make_log(lengths=((3,),))], tmp_path / "release").path)
@@ -63,7 +63,7 @@ def test_a_release_tells_a_loss_for_each_world(
         releases.open_streams(release)
 
 
-def test_a_log_is_seen_whatever_its_lineage_says(make_log: MakeLog) -> None:
+def test_a_log_is_shown_even_if_its_lineage_is_damaged(make_log: MakeLog) -> None:
     log = make_log(lengths=((3,),))
     (log / artefacts.LINEAGE).write_text("{damaged")
     assert open_view(VizConfig(), [log], Choice()).title == log.name

@@ -1,4 +1,4 @@
-"""Scenery as it is drawn lies where the simulator's own geoms do."""
+"""The drawn scenery has the positions of the simulator's geoms."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -19,11 +19,11 @@ GEOMS = {
     "patch": ("patch",),
 }
 CELL = 0.01
-"""Metres: how finely the table is looked at from above."""
+"""Metres between two sampled points of the table."""
 
 
 def covered(centres: np.ndarray, halves: np.ndarray) -> np.ndarray:
-    """Which points of the table lie under boxes along its axes, seen from above; centres and half sizes are (n, 3)."""
+    """Points of the table below axis-aligned boxes; centres and half sizes are (n, 3)."""
     points = np.stack(np.meshgrid(np.arange(-0.7, 0.7, CELL), np.arange(-1.2, 1.2, CELL)), axis=-1)
     apart = np.abs(points[:, :, None] - centres[:, :2])
     return np.any((apart <= halves[:, :2]).all(axis=-1), axis=-1)
@@ -49,7 +49,7 @@ def test_scenery_is_where_the_simulator_has_it(side: Side, tmp_path: Path, read_
     for piece, names in GEOMS.items():
         _, (centres, none) = recording.column(f"/table/{piece}", "Boxes3D:centers")
         _, (halves, _) = recording.column(f"/table/{piece}", "Boxes3D:half_sizes")
-        assert none == []  # the next world has no such thing
+        assert none == []  # the next world does not have it
         drawn, there = covered(np.array(centres), np.array(halves)), simulated(puzzle, names)
         differ = (drawn ^ there).sum() / there.sum()
-        assert differ < (0.1 if piece == "ramp" else 0.001)  # a ramp is drawn up to the middle of the wall
+        assert differ < (0.1 if piece == "ramp" else 0.001)  # the drawn ramp ends in the middle of the wall
