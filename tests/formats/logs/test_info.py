@@ -129,7 +129,7 @@ def test_the_commands_say_what_to_do_next(whole: Path, tmp_path: Path, capsys: p
     shown = " ".join(capsys.readouterr().out.split())
     saved = path.with_name("stream-002-000-repaired.mcap")
     assert "stream-002-000-repaired.mcap (12 steps)" in shown
-    assert re.search(r"missing: all after step 11; the last [\d,]+ bytes are left out", shown)
+    assert re.search(r"missing: all steps after 11; the last [\d,]+ bytes are left out", shown)
     assert f"next: gym-open log replay {saved}" in shown
     assert main(["log", "replay", str(path)]) == 1
     assert "damaged at byte" in capsys.readouterr().err
