@@ -1,7 +1,7 @@
-"""`gym-open run`: a workspace through all stages, skipping what is up to date.
+"""`gym-open run`: takes a workspace through all stages, and skips what is up to date.
 
-Every stage's result is an artefact that knows the digests of its inputs, so "up to date" is read from disk, and a
-killed stage goes on from its own checkpoint: the pipeline itself keeps no state.
+The result of every stage is an artefact that records the digests of its inputs. So "up to date" is read from disk, and
+a killed stage resumes from its own checkpoint. The pipeline itself keeps no state.
 """
 
 import time
@@ -39,7 +39,7 @@ C = TypeVar("C", bound=Config)
 
 
 class PipelineConfigs(msgspec.Struct, frozen=True, kw_only=True):
-    """The configurations of one run, all read and checked before anything starts."""
+    """The configurations of one run. All are read and checked before anything starts."""
 
     collect: CollectConfig
     release: ReleaseConfig
@@ -54,7 +54,7 @@ def read_plan(root: Path, seed: int) -> PipelineConfigs:
     """Read the seven configurations that a run uses, with `seed` in each.
 
     Raises:
-        ConfigError: naming the file and key that is wrong.
+        ConfigError: if a file or value is wrong; it names the file and the key.
     """
 
     def read(name: str, kind: type[C]) -> C:
@@ -79,11 +79,11 @@ class PipelineStage(outlook.PlannedStage):
     """A stage of the run."""
 
     make: Callable[[], Outcome]
-    """Makes its artefact, or finds it up to date."""
+    """Makes the artefact, unless it is up to date."""
 
 
 def stages(plan: PipelineConfigs, root: Path, seed: int) -> list[PipelineStage]:
-    """The stages of a run in their order; what they are made of is known from their folders."""
+    """The stages of a run, in order. Each stage finds its inputs in the folders of earlier stages."""
     log = PipelineStage(
         name="collect",
         folder=(logs := root / f"collect/logs/curl-ride-seed{seed}"),
@@ -225,18 +225,18 @@ def _draw(config: VizConfig, sources: list[Path], out: Path) -> Outcome:
 
 @dataclass
 class Journal:
-    """Runs the stages one by one, says so, and remembers what came of each."""
+    """Runs the stages one by one, prints each, and keeps their results."""
 
     voice: Voice
     total: int
-    """Stages that there are."""
+    """Number of stages."""
     rows: list[tuple[str, str, str, str]] = field(default_factory=list)
     made: int = 0
 
     def stage(self, stage: PipelineStage) -> None:
-        """Run one stage, or find it up to date."""
+        """Run one stage, unless it is up to date."""
         console = self.voice.console
-        if not (console.is_terminal and progress.on_terminal()):  # there, its bar says that it has begun
+        if not (console.is_terminal and progress.on_terminal()):  # there, its progress bar shows it
             console.print(f"{len(self.rows) + 1}/{self.total} {stage.name} …", highlight=False)
         started = time.perf_counter()
         with progress.stage(stage.name):
@@ -251,11 +251,11 @@ class Journal:
 
 
 def run(root: Path, seed: int, voice: Voice) -> None:
-    """Take the workspace at `root` through all stages with one root seed.
+    """Run all stages in the workspace at `root`, with one root seed.
 
     Raises:
-        UsageError: if `root` is no workspace or a configuration is wrong; nothing was started then.
-        GymOpenError: if a stage fails; what earlier stages made stays.
+        UsageError: if `root` is no workspace or a configuration is wrong. Nothing was started.
+        GymOpenError: if a stage fails. The artefacts of earlier stages stay.
     """
     started = time.perf_counter()
     workspace.check(root)
@@ -285,8 +285,8 @@ def run(root: Path, seed: int, voice: Voice) -> None:
 
 
 def _begin(plan: PipelineConfigs, root: Path, row: Sequence[PipelineStage], voice: Voice) -> str:
-    """Say what was found and what is expected; give the expectation for the end, if there is one."""
-    if voice.quiet:  # nobody reads it
+    """Print this machine and the expected time. Return the expected time for the last line, if there is one."""
+    if voice.quiet:  # it would not be printed
         return ""
     if warning := outlook.too_full(root, work.bytes_written(plan.collect)):
         voice.console.print(f"[bold yellow]warning:[/] {markup(warning)}", highlight=False, soft_wrap=True)

@@ -1,4 +1,4 @@
-"""What is said of artefacts: tables that a person reads, records that a program reads. All comes from disk."""
+"""Summaries of artefacts, read from disk: tables for people, and records for programs."""
 
 import re
 import shlex
@@ -20,25 +20,25 @@ PAPER_NOTE = "paper, goal-seeking, 1M steps: PPO from scratch .509, CURL+RIDE .5
 
 
 def short(path: Path) -> str:
-    """The path as a person would type it here."""
+    """The path as a user would type it in the current folder."""
     return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)
 
 
 def word(path: Path) -> str:
-    """The path as `short` has it, quoted for the shell where that is needed."""
+    """The result of `short`, quoted for the shell if necessary."""
     return shlex.quote(short(path))
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A payload file of an artefact as plain data."""
+    """Read a JSON file of an artefact as plain data."""
     return msgspec.json.decode(path.read_bytes())
 
 
 def stage_record(stage: str, made: artefacts.Outcome, seconds: float) -> dict[str, Any]:
-    """What a program is told of a stage that has ended, as plain data for JSON.
+    """The record of a finished stage for programs, as plain data for JSON.
 
-    `figures` holds the numbers, names and yes-or-no facts of the artefact's lineage; for scores also who played how
-    well, and for a probe the gain of each target.
+    `figures` holds the numbers, texts and booleans among the facts of the artefact's lineage. Scores add their results,
+    and a probe adds the gain of each target.
     """
     about = artefacts.lineage(made.path)
     figures = {name: fact for name, fact in about.facts.items() if isinstance(fact, int | float | str)}
@@ -63,13 +63,13 @@ _SCORES = ("a_success", "a_success_half_width_95", "mean_return", "mean_steps", 
 
 
 class Name:
-    """A name in a table: where its column is too narrow for it, it is broken behind a hyphen, a slash or a space."""
+    """A name in a table. If its column is too narrow, the name breaks after a hyphen, a slash or a space."""
 
     def __init__(self, name: str) -> None:
         self.parts = re.findall(r"[^-/\s]+[-/\s]*|[-/\s]+", printable(name)) or [""]
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Text]:
-        """As many parts a line as there is room for."""
+        """Put as many parts on a line as fit."""
         lines = [""]
         for part in self.parts:
             if cell_len((lines[-1] + part).rstrip()) > options.max_width and lines[-1]:
@@ -78,14 +78,14 @@ class Name:
         yield Text("\n".join(line.rstrip() for line in lines), overflow="fold")
 
     def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:
-        """From the longest part to the whole."""
+        """From the longest part to the whole name."""
         return Measurement(max(cell_len(part.rstrip()) for part in self.parts), cell_len("".join(self.parts)))
 
 
 def score_table(scores: Mapping[str, Path]) -> Table:
-    """One row an agent: A-Success with its 95% interval over the puzzles, mean return, mean actions, training steps."""
+    """One row per agent: A-Success with its 95% interval over puzzles, mean return, mean actions, training steps."""
     first = read_json(next(iter(scores.values())) / "scores.json")
-    title = f"{first['task']}: the same {first['puzzles']} {first['split']} puzzles for everyone"
+    title = f"{first['task']}: the same {first['puzzles']} {first['split']} puzzles for every agent"
     numbers = ("A-Success (95%)", "return", "actions", "trained")
     table = titled_table(title, ("agent", *numbers), right=numbers, unbroken=numbers, compact=True)
     table.add_column(Name("task-free"), max_width=len("no encoder"))
@@ -103,11 +103,11 @@ def score_table(scores: Mapping[str, Path]) -> Table:
 
 
 def probe_table(path: Path) -> Table:
-    """One row a target: how well a linear map reads it from features on held-out worlds, and what training gained."""
+    """One row per target: how well a linear map predicts it from features on held-out worlds, and training's gain."""
     targets = read_json(path / "probe.json")["targets"]
     rows = sorted(targets.items(), key=lambda row: ("error_cells" not in row[1]["scores"]["trained"], row[0]))
     features = [name for name in ("trained", "untrained", "pixels") if name in rows[0][1]["scores"]]
-    title = "linear probe: R² if not said otherwise (error in cells)"
+    title = "linear probe: R² unless stated otherwise (error in cells)"
     numbers = ("gain (95%)", *features, "guess")  # on a narrow terminal, errors go below their values
     table = titled_table(title, ("target", *numbers), right=numbers, unbroken=("target", "gain (95%)"), compact=True)
     for target, row in rows:
@@ -136,7 +136,7 @@ def proof_text(name: str, scores: Path) -> str:
 
 
 def stage_table(rows: list[tuple[str, str, str, str]]) -> Table:
-    """One row a stage: name, what came of it, seconds, digest."""
+    """One row per stage: name, result, seconds, digest."""
     table = titled_table("stages", ("stage", "result", "time", "digest"), right=("time",), compact=True)
     for row in rows:
         table.add_row(*row)

@@ -1,7 +1,7 @@
-"""Memory for what every minibatch needs anew, used again and again.
+"""Reusable memory for the large arrays of each minibatch.
 
-The system hands out memory page by page and fills it with zeros. For arrays of many megabytes, filled and freed at
-every minibatch, that takes a tenth of the time of an update.
+The system allocates memory page by page and fills it with zeros. For arrays of many megabytes that are allocated and
+freed in every minibatch, this takes a tenth of the time of an update.
 """
 
 import math
@@ -11,23 +11,23 @@ import threading
 import numpy as np
 
 _SMALLEST, _LARGEST = 2**20, 2**26
-"""Bytes of the arrays that are kept: less is cheap to have anew, more should not be held on to."""
+"""Size limits in bytes of the arrays that are kept. Smaller ones are cheap to allocate, larger ones block memory."""
 _MOST = 16
-"""Arrays that are kept."""
+"""Largest number of arrays that are kept."""
 _kept: list[np.ndarray] = []
 _lock = threading.Lock()
 
 
 def borrow(shape: tuple[int, ...], dtype: type[np.generic]) -> np.ndarray:
-    """An array of any content. Its memory is used again once nothing refers to the array, nor to a view of it."""
+    """An array of arbitrary content. Its memory is reused when nothing refers to the array or to a view of it."""
     size = math.prod(shape) * np.dtype(dtype).itemsize
     if not _SMALLEST <= size <= _LARGEST:
         return np.empty(shape, dtype)
     with _lock:
-        free = [one for one, count in enumerate(_references(_kept)) if count == _ALONE]
-        fitting = [one for one in free if size <= len(_kept[one]) <= 2 * size]
+        free = [i for i, count in enumerate(_references(_kept)) if count == _ALONE]
+        fitting = [i for i in free if size <= len(_kept[i]) <= 2 * size]
         if fitting:
-            memory = _kept[min(fitting, key=lambda one: len(_kept[one]))]
+            memory = _kept[min(fitting, key=lambda i: len(_kept[i]))]
         else:
             memory = np.empty(size, np.uint8)
             _kept.append(memory)
@@ -36,8 +36,8 @@ def borrow(shape: tuple[int, ...], dtype: type[np.generic]) -> np.ndarray:
 
 
 def _references(arrays: list[np.ndarray]) -> list[int]:
-    return [sys.getrefcount(one) for one in arrays]
+    return [sys.getrefcount(array) for array in arrays]
 
 
 _ALONE = _references([np.empty(1)])[0]
-"""What is counted of an array that nobody but the list refers to."""
+"""Reference count of an array that only the list refers to."""

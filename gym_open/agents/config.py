@@ -1,4 +1,4 @@
-"""Configurations of the agents' parts; no torch here, so that `gym-open --help` answers at once."""
+"""Configurations of encoders, world models, explorers and PPO. This module needs no torch: `--help` stays fast."""
 
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple
 
@@ -8,31 +8,30 @@ from gym_open.config import Config, Count, Fraction, NonNegativeFloat, PositiveF
 from gym_open.precision import PrecisionSetting
 
 Width = Annotated[int, Meta(ge=1, le=16_384)]
-"""Of a layer; bounded, since a network is made as its file says before its weights are looked at."""
+"""Width of a layer. It is bounded, because a network is created from its file before its weights are checked."""
 Device = Literal["cpu", "cuda"]
 Architecture = Literal["cnn", "impala", "state"]
 _NAME = r"(?!(?:random|oracle|human)\Z)[a-z0-9][a-z0-9+_-]{0,47}\Z"
 _NAME_IN_WORDS = (
-    "a name of small letters, digits, +, _ and -, at most 48, and none of random, oracle and human, which are always "
-    "rows of their own"
+    "a name of at most 48 small letters, digits, +, _ and -, and not random, oracle or human, which are reserved rows"
 )
 AgentName = Annotated[str, matching(f"^{_NAME}", _NAME_IN_WORDS)]
-"""Row of a table, and part of folders' names."""
+"""Name of a table row, and part of folder names."""
 AgentNameOrNone = Annotated[str, matching(rf"^(?:\Z|{_NAME})", f"nothing, or {_NAME_IN_WORDS}")]
 
 
 class EncoderConfig(Config, frozen=True, kw_only=True):
-    """From an 84×84 picture to features."""
+    """An encoder from 84×84 images to features."""
 
     architecture: Architecture = "cnn"
     """`cnn` is the paper's three-layer network (Mnih et al. 2015), `impala` the deeper one of Espeholt et al. 2018.
-    `state` looks at no picture: a policy is told where everything is, which shows what seeing costs."""
+    `state` is for policies that see the simulator state instead of images: it shows what learning from images costs."""
     features: Width = 512
     """Width of the last layer."""
     pixel_scale: PositiveFloat = 20.0
-    """Pixels, less the mean picture, are multiplied by this over 255: objects are only four pixels wide."""
+    """Pixels minus the mean image are multiplied by this over 255. Objects are only four pixels wide."""
     centre: bool = True
-    """Subtract the mean picture."""
+    """Whether to subtract the mean image."""
 
 
 class ImagePasses(NamedTuple):
@@ -133,26 +132,26 @@ else:
 
 
 class PPOConfig(Config, frozen=True, kw_only=True):
-    """Proximal policy optimisation (Schulman et al. 2017); names are those of CleanRL's `ppo_atari.py`."""
+    """Proximal policy optimisation (Schulman et al. 2017). Names are those of CleanRL's `ppo_atari.py`."""
 
     learning_rate: PositiveFloat = 5e-4
     """Adam's step size (its epsilon is 1e-5)."""
     anneal_lr: bool = False
-    """Let the learning rate fall linearly to zero over the run."""
+    """Whether the learning rate falls linearly to zero over the run."""
     gamma: Fraction = 0.95
-    """Discount a step."""
+    """Discount per step."""
     gae_lambda: Fraction = 0.95
-    """Decay a step of the generalised advantage estimate."""
+    """Decay per step of the generalised advantage estimate."""
     minibatch_size: PositiveInt = 512
-    """Transitions a gradient step; the last minibatch of an epoch may be smaller."""
+    """Transitions per gradient step. The last minibatch of an epoch may be smaller."""
     update_epochs: PositiveInt = 4
-    """Passes over each rollout."""
+    """Epochs over each rollout."""
     norm_adv: bool = True
-    """Scale the advantages of a minibatch to mean 0 and deviation 1."""
+    """Whether to scale the advantages of a minibatch to mean 0 and standard deviation 1."""
     clip_coef: PositiveFloat = 0.2
-    """Ratio of probabilities beyond which there is no more gradient."""
+    """The ratio of probabilities is clipped to 1 ± this; beyond it there is no gradient."""
     clip_vloss: bool = True
-    """Clip the value's change by `clip_coef` as well."""
+    """Whether to clip the change of the value by `clip_coef`, too."""
     ent_coef: NonNegativeFloat = 0.005
     """Weight of the policy's entropy."""
     vf_coef: NonNegativeFloat = 0.5
@@ -160,16 +159,16 @@ class PPOConfig(Config, frozen=True, kw_only=True):
     max_grad_norm: PositiveFloat = 0.5
     """Norm to which the gradient is clipped."""
     target_kl: PositiveFloat | None = None
-    """Stop the update after the epoch whose KL divergence passes this."""
+    """The update stops after the first epoch whose KL divergence exceeds this."""
     shift_pad: Count = 8
-    """Largest random shift, in pixels, of the pictures in the update (Kostrikov et al. 2021); 0 for none."""
+    """Largest random shift, in pixels, of images in the update (Kostrikov et al. 2021). 0 for no shift."""
     precision: PrecisionSetting = "auto"
-    """Arithmetic of the network: `auto` is bf16 on a processor or GPU that multiplies it natively, else fp32. Weights
-    stay fp32."""
+    """Arithmetic of the network. `auto` is bf16 on a processor or GPU that multiplies it natively, else fp32. Weights
+    are fp32 in any case."""
 
 
 EXPLORER_PPO = PPOConfig(learning_rate=1e-3, minibatch_size=128, update_epochs=3, shift_pad=4, ent_coef=0.15)
-"""What exploration changes of PPO's defaults, which are those of fine-tuning."""
+"""PPO for exploration. The defaults of `PPOConfig` are those of fine-tuning."""
 
 
 class ExplorerConfig(WorldModelSections, frozen=True, kw_only=True):
@@ -198,7 +197,7 @@ class ExplorerConfig(WorldModelSections, frozen=True, kw_only=True):
             raise ValueError("`encoder.architecture` 'state' is for policies on a task; explorers look at images")
         if self.ppo.anneal_lr:
             raise ValueError(
-                "`ppo.anneal_lr` needs to know where a run ends, and exploration may end before its budget is spent: "
+                "`ppo.anneal_lr` needs to know where a run ends, but exploration may end before its budget is spent: "
                 "give false, or train with `gym-open train policy`"
             )
 

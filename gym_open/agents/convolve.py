@@ -1,19 +1,19 @@
-"""The paper's three convolutions in fp32 on a CPU, forward and backward, compiled here.
+"""The paper's three convolutions in fp32 on a CPU, forward and backward, as compiled code.
 
-Why not PyTorch's: oneDNN's code for processors without AVX-512 takes up to 1.5 × the time of the products in the
-gradients of the weights; each layer writes its numbers to memory and the next one reads them back; and a ReLU takes
-another pass. Here a few pictures at a time go through all three layers while their numbers are in the cache, the
-products are added up in registers (`tiles`), and bias and ReLU are part of the last addition. Forward and backward pass
-of the whole network take .97 × the time of the products alone, with AVX2 as with AVX-512; with PyTorch's layers they
-take 1.31 × and 1.19 × (`benchmarks/bench_ppo.py`).
+Why not PyTorch's layers: oneDNN's code for processors without AVX-512 takes up to 1.5 × the time of the products in the
+gradients of the weights. Each layer writes its numbers to memory, and the next one reads them back. A ReLU takes
+another pass. Here, a few images at a time go through all three layers while their numbers are in the cache. Products
+are added in registers (`tiles`), and bias and ReLU are part of the last addition. Forward and backward pass of the
+whole network take .97 × the time of the products alone, with AVX2 and with AVX-512. With PyTorch's layers they take
+1.31 × and 1.19 × (`benchmarks/bench_ppo.py`).
 
-Every number is the sum of its products in one fixed order, so that what these layers make of a picture does not depend
-on the pictures beside it.
+Every number is the sum of its products in one fixed order. So the features of an image do not depend on the other
+images in the batch.
 
-How it is done: pictures lie with channels last, so that what a kernel looks at is a run of `kernel · channels` numbers
-in each of `kernel` rows, and an output is the sum of `kernel` dot products of runs, of which `add_rows` makes a tile at
-once. The same, the other way round, hands gradients down to the inputs. `add_columns` makes tiles of the weights'
-gradients.
+Method: images are stored with channels last. The input of a kernel is then a run of `kernel · channels` numbers in each
+of `kernel` rows, and an output is the sum of `kernel` dot products of runs. `add_rows` computes a tile of outputs at
+once. The same function propagates gradients back to the inputs. `add_columns` computes tiles of the gradients of the
+weights.
 """
 
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ from gym_open.agents.tiles import ROWS, WIDTH, add_columns, add_rows
 from gym_open.envs.jit import compiled
 
 CHUNK = 4
-"""Pictures that go through all layers together: what is known of them fits into a core's own cache."""
+"""Images that go through all layers together. Their numbers fit into the core's own cache."""
 
 
 class Layer(NamedTuple):
@@ -36,26 +36,26 @@ class Layer(NamedTuple):
 
     channels: int
     size: int
-    """Edge of the picture that it looks at."""
+    """Edge of its input image."""
     kernel: int
     stride: int
     outputs: int
     out: int
-    """Edge of the picture that it makes."""
+    """Edge of its output image."""
     together: int
-    """Rows of the kernel whose products are added up before the sum is written: the short ones of the first layer."""
+    """Rows of the kernel whose products are added before the sum is written; the first layer has short rows."""
 
 
 FIRST, SECOND, THIRD = Layer(3, 84, 8, 4, 32, 20, 8), Layer(32, 20, 4, 2, 64, 9, 1), Layer(64, 9, 3, 1, 64, 7, 1)
 """Mnih et al. 2015."""
-FIRST_LOOKS, SECOND_LOOKS, THIRD_LOOKS = (one.channels * one.size**2 for one in (FIRST, SECOND, THIRD))
-"""Numbers that a layer looks at, of one picture."""
+FIRST_LOOKS, SECOND_LOOKS, THIRD_LOOKS = (layer.channels * layer.size**2 for layer in (FIRST, SECOND, THIRD))
+"""Numbers in the input of each layer, for one image."""
 N_PLACES, N_OUTPUTS = THIRD.out**2, THIRD.outputs
 N_FEATURES = N_PLACES * N_OUTPUTS
 
 
 def suits(layers: Sequence[nn.Module], prepared: Tensor) -> bool:
-    """Whether `three_layers` computes what those PyTorch layers would: fp32 on a CPU, no gradient for the pictures."""
+    """Whether `three_layers` can replace these PyTorch layers: fp32 on a CPU, and no gradient for the images."""
     return (
         prepared.dtype == torch.float32
         and prepared.device.type == "cpu"
@@ -66,15 +66,15 @@ def suits(layers: Sequence[nn.Module], prepared: Tensor) -> bool:
 
 
 def three_layers(prepared: Tensor, layers: Sequence[nn.Conv2d], slope: float) -> Tensor:
-    """Pictures through the three convolutions, with an activation after each.
+    """Pass images through the three convolutions, with an activation after each.
 
     Args:
         prepared: (B, 3, 84, 84) fp32, without a gradient.
         layers: the convolutions, on the CPU.
-        slope: of the activation below zero: 0 for a ReLU.
+        slope: slope of the activation below zero: 0 for a ReLU.
 
     Returns:
-        (B, 3136), channel by channel, as `nn.Flatten` gives it.
+        Features (B, 3136), channel by channel, in the order of `nn.Flatten`.
     """
     weights = [parameter for layer in layers for parameter in (layer.weight, cast("Tensor", layer.bias))]
     keep = torch.is_grad_enabled() and any(weight.requires_grad for weight in weights)
@@ -84,16 +84,16 @@ def three_layers(prepared: Tensor, layers: Sequence[nn.Conv2d], slope: float) ->
 class _ThreeLayers(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, prepared: Tensor, slope: float, keep: bool, *weights: Tensor) -> Tensor:
-        """Features; what both lower layers give is kept for the way back if `keep`."""
-        pictures = prepared.detach().permute(0, 2, 3, 1).contiguous().view(-1).numpy()
+        """Features. The outputs of both lower layers are kept for the backward pass if `keep`."""
+        images = prepared.detach().permute(0, 2, 3, 1).contiguous().view(-1).numpy()
         packed = [_packed(weight) for weight in weights[::2]]
         biases = [bias.detach().numpy() for bias in weights[1::2]]
         n = len(prepared)
         features = borrow((n * N_FEATURES,), np.float32)
         lower = [borrow(((n if keep else CHUNK) * looks,), np.float32) for looks in (SECOND_LOOKS, THIRD_LOOKS)]
-        _forward(n, pictures, *packed, *biases, *lower, features, slope, keep)
+        _forward(n, images, *packed, *biases, *lower, features, slope, keep)
         if keep:
-            ctx.slope, ctx.seen = slope, (pictures, *lower, features)
+            ctx.slope, ctx.seen = slope, (images, *lower, features)
             ctx.save_for_backward(*weights)
         return torch.from_numpy(features).view(n, N_FEATURES)
 
@@ -114,13 +114,13 @@ class _ThreeLayers(torch.autograd.Function):
 
 
 def _packed(weight: Tensor) -> np.ndarray:
-    """Weights (O, C, K, K) in the order in which `add_rows` takes them: (O / WIDTH, K, K, C, WIDTH), flat."""
+    """Weights (O, C, K, K) in the order that `add_rows` needs: (O / WIDTH, K, K, C, WIDTH), flat."""
     tiles = weight.detach().unflatten(0, (-1, WIDTH)).permute(0, 3, 4, 2, 1)
     return tiles.contiguous().view(-1).numpy()
 
 
 def _like(gradient: Tensor, parameter: Tensor) -> Tensor:
-    """A gradient as `_backward` adds it up, (K, K, C, O) flat, in the parameter's shape and memory order."""
+    """A gradient from `_backward`, (K, K, C, O) flat, in the shape and memory order of the parameter."""
     if parameter.dim() == 1:
         return gradient
     outputs, channels, height, width = parameter.shape
@@ -131,7 +131,7 @@ def _like(gradient: Tensor, parameter: Tensor) -> Tensor:
 @compiled
 def _forward(  # noqa: PLR0917  # compiled code takes arguments by position
     count: int,
-    pictures: np.ndarray,
+    images: np.ndarray,
     packed1: np.ndarray,
     packed2: np.ndarray,
     packed3: np.ndarray,
@@ -144,12 +144,12 @@ def _forward(  # noqa: PLR0917  # compiled code takes arguments by position
     slope: float,
     keep: bool,
 ) -> None:
-    """All pictures; `first` and `second` take what those layers give, of all pictures if `keep`, else of a chunk."""
+    """Features of all images. `first` and `second` get the outputs of these layers, of all images if `keep`."""
     third = np.empty(CHUNK * N_FEATURES, np.float32)
     for start in range(0, count, CHUNK):
         n = min(CHUNK, count - start)
         at = start if keep else 0
-        _convolve(FIRST, n, pictures, start * FIRST_LOOKS, packed1, bias1, first, at * SECOND_LOOKS, slope)
+        _convolve(FIRST, n, images, start * FIRST_LOOKS, packed1, bias1, first, at * SECOND_LOOKS, slope)
         _convolve(SECOND, n, first, at * SECOND_LOOKS, packed2, bias2, second, at * THIRD_LOOKS, slope)
         _convolve(THIRD, n, second, at * THIRD_LOOKS, packed3, bias3, third, 0, slope)
         for i in range(n):
@@ -162,7 +162,7 @@ def _forward(  # noqa: PLR0917  # compiled code takes arguments by position
 @compiled
 def _backward(  # noqa: PLR0917
     count: int,
-    pictures: np.ndarray,
+    images: np.ndarray,
     first: np.ndarray,
     second: np.ndarray,
     features: np.ndarray,
@@ -177,7 +177,7 @@ def _backward(  # noqa: PLR0917
     d_bias3: np.ndarray,
     slope: float,
 ) -> None:
-    """Add up what all pictures give to the gradients of weights, (K, K, C, O) flat, and biases."""
+    """Add the contributions of all images to the gradients of weights, (K, K, C, O) flat, and biases."""
     d_first, d_second = np.empty(CHUNK * SECOND_LOOKS, np.float32), np.empty(CHUNK * THIRD_LOOKS, np.float32)
     d_third, third = np.empty(CHUNK * N_FEATURES, np.float32), np.empty(CHUNK * N_FEATURES, np.float32)
     for start in range(0, count, CHUNK):
@@ -195,12 +195,12 @@ def _backward(  # noqa: PLR0917
         _add_weights(SECOND, n, first, start * SECOND_LOOKS, d_second, d_weight2)
         _hand_down(SECOND, n, d_second, weight2, d_first)
         _through_activation(n * SECOND.size**2, first, start * SECOND_LOOKS, d_first, d_bias1, slope)
-        _add_weights(FIRST, n, pictures, start * FIRST_LOOKS, d_first, d_weight1)
+        _add_weights(FIRST, n, images, start * FIRST_LOOKS, d_first, d_weight1)
 
 
 @compiled
 def _places(layer: Layer, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where the output places of n pictures begin: what they look at, and what they are, both in numbers.
+    """Offsets of the output places of n images, in numbers: of the input of each place, and of the place itself.
 
     Filled up to whole tiles with the last place again: it is then computed twice, with the same result.
     """
@@ -210,9 +210,9 @@ def _places(layer: Layer, n: int) -> tuple[np.ndarray, np.ndarray]:
     row = layer.size * layer.channels
     for i in range(padded):
         place = min(i, count - 1)
-        picture, inside = place // layer.out**2, place % layer.out**2
+        image, inside = place // layer.out**2, place % layer.out**2
         down, right = inside // layer.out, inside % layer.out
-        looks[i] = picture * layer.size * row + layer.stride * (down * row + right * layer.channels)
+        looks[i] = image * layer.size * row + layer.stride * (down * row + right * layer.channels)
         makes[i] = place * layer.outputs
     return looks, makes
 
@@ -222,7 +222,7 @@ def _convolve(  # noqa: PLR0917
     layer: Layer, n: int, x: np.ndarray, x_at: int, packed: np.ndarray, bias: np.ndarray, y: np.ndarray, y_at: int,
     slope: float,
 ) -> None:  # fmt: skip
-    """What a layer makes of n pictures, activation included: from `x[x_at:]` to `y[y_at:]`."""
+    """Apply a layer and its activation to n images: from `x[x_at:]` to `y[y_at:]`."""
     looks, makes = _places(layer, n)
     row, run = layer.size * layer.channels, layer.kernel * layer.channels
     for tile in range(layer.outputs // WIDTH):
@@ -239,7 +239,7 @@ def _convolve(  # noqa: PLR0917
 
 @compiled
 def _hand_down(layer: Layer, n: int, dy: np.ndarray, weight: np.ndarray, dx: np.ndarray) -> None:
-    """The gradient of what a layer looked at, of n pictures, from that of what it made; `weight` is (O, K, K, C)."""
+    """Compute the gradient of a layer's input from that of its output, for n images; `weight` is (O, K, K, C)."""
     looks, makes = _places(layer, n)
     row, run = layer.size * layer.channels, layer.kernel * layer.channels
     dx[: n * layer.size * row] = 0
@@ -256,12 +256,12 @@ def _hand_down(layer: Layer, n: int, dy: np.ndarray, weight: np.ndarray, dx: np.
 def _add_weights(  # noqa: PLR0917
     layer: Layer, n: int, x: np.ndarray, x_at: int, dy: np.ndarray, sums: np.ndarray
 ) -> None:
-    """Add to `sums`, (K, K, C, O), the gradient of a layer's weights, picture by picture."""
+    """Add the gradient of a layer's weights to `sums`, (K, K, C, O), image by image."""
     looks, _ = _places(layer, 1)
     places = layer.out**2
     row, run = layer.size * layer.channels, layer.kernel * layer.channels
-    for picture in range(n):
-        x_from, dy_from = x_at + picture * layer.size * row, picture * places * layer.outputs
+    for image in range(n):
+        x_from, dy_from = x_at + image * layer.size * row, image * places * layer.outputs
         for tile in range(0, layer.outputs, WIDTH):
             for tap in range(layer.kernel):
                 done = 0
@@ -270,7 +270,7 @@ def _add_weights(  # noqa: PLR0917
                     if run - done >= ROWS and run - done != 8:
                         add_columns(ROWS, x, a, looks, places, dy, dy_from + tile, layer.outputs, sums, c)
                         done += ROWS
-                    else:  # what is left of a run is a multiple of four
+                    else:  # the rest of a run is a multiple of four
                         add_columns(4, x, a, looks, places, dy, dy_from + tile, layer.outputs, sums, c)
                         done += 4
 
@@ -279,7 +279,7 @@ def _add_weights(  # noqa: PLR0917
 def _through_activation(  # noqa: PLR0917
     count: int, y: np.ndarray, y_at: int, dy: np.ndarray, sums: np.ndarray, slope: float
 ) -> None:
-    """Make of a gradient after the activation, of `count` places, the one before it; add it to that of the bias."""
+    """Turn the gradient after the activation, at `count` places, into that before it, and add it to the bias's."""
     width, below = len(sums), np.float32(slope)
     for place in range(count):
         of, made = dy[place * width : (place + 1) * width], y[y_at + place * width : y_at + (place + 1) * width]

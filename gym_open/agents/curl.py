@@ -1,12 +1,12 @@
-"""CURL: a world model that tells pictures apart (Srinivas et al. 2020).
+"""CURL: a contrastive world model, which learns to tell images apart (Srinivas et al. 2020).
 
-    loss = −log softmax_k(q_iᵀ W k_k)[i],     q and k: projections of two random shifts of one picture
+    loss = −log softmax_k(q_iᵀ W k_k)[i],     q and k: projections of two random shifts of one image
 
 Departures from `MishaLaskin/curl`, each with its reason:
 
-- Random shift in place of random crop: the picture is 84×84 already, and the policy sees all of it.
-- The encoder is OPEn's three-layer one and the query's shift the policy's: one pass through it serves both.
-- Own error as a reward, which CURL has none of: InfoNCE of the picture a step led to, among those of its rollout.
+- Random shift in place of random crop: the image is 84×84 already, and the policy sees all of it.
+- The encoder is OPEn's three-layer one, and the query has the same shift as the policy: one pass serves both.
+- Own error as a reward, which CURL does not define: InfoNCE of the image that a step led to, among its rollout's.
 """
 
 import copy
@@ -23,9 +23,9 @@ from gym_open.agents.world_model import TransitionBatch, WorldModel
 
 
 class Curl(WorldModel):
-    """An encoder, a projection of its features, a bilinear similarity, and a slow copy of both that makes the keys.
+    """An encoder, a projection of its features, a bilinear similarity, and slow copies of both networks for the keys.
 
-    The encoder is shared with whoever else holds it. The key network learns only by `stepped`.
+    The policy may share the encoder. The key network changes only in `stepped`.
     """
 
     error_parts = ("error",)
@@ -45,9 +45,9 @@ class Curl(WorldModel):
     def measure(
         self, transitions: TransitionBatch, shifts: Tensor, generator: torch.Generator, features: Tensor | None = None
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """InfoNCE of B observations between the given shifts of them and another, random one.
+        """InfoNCE of B observations, between the given shifts and other random shifts.
 
-        `accuracy` is how often the key that is most similar to a query is its own; chance is 1 in B.
+        `accuracy` is how often the most similar key of a query is its own. Chance is 1 in B.
         """
         images = transitions.obs
         if features is None:
@@ -58,12 +58,12 @@ class Curl(WorldModel):
 
     @torch.no_grad()
     def world_loss(self, transitions: TransitionBatch, generator: torch.Generator) -> float:
-        """`loss` between two random shifts."""
+        """`loss` of B transitions of one world, between two random shifts of each image."""
         return float(self.loss(transitions, self._draw(transitions.obs, generator), generator))
 
     @torch.no_grad()
     def errors(self, transitions: TransitionBatch) -> dict[str, Tensor]:
-        """`error`: InfoNCE of the picture that each step led to, among those of all B steps, unshifted."""
+        """`error`: InfoNCE of the image that each step led to, among those of all B steps, unshifted."""
         images = transitions.next_obs
         logits = self._logits(self.latent(images), self._keys(images, no_shifts(len(images))))
         own = torch.arange(len(logits), device=logits.device)
@@ -71,12 +71,12 @@ class Curl(WorldModel):
 
     @torch.no_grad()
     def latent(self, images: Tensor, features: Tensor | None = None) -> Tensor:
-        """Projected features (B, latent) of unshifted pictures (B, 84, 84, 3) uint8, without gradient."""
+        """Projected features (B, latent) of unshifted images (B, 84, 84, 3) uint8, without gradient."""
         return self.projection(self.unshifted(images) if features is None else features).float()
 
     @torch.no_grad()
     def stepped(self) -> None:
-        """Every `update_every` steps, move the key network towards the query's: `key ← key + tau · (query − key)`."""
+        """Every `update_every` steps, move the key network towards the query: `key ← key + tau · (query − key)`."""
         self._steps += 1
         if self._steps % self.config.update_every:
             return
@@ -89,10 +89,10 @@ class Curl(WorldModel):
 
     @torch.no_grad()
     def _keys(self, images: Tensor, shifts: Tensor) -> Tensor:
-        """What the key network makes of pictures, (B, latent) fp32."""
+        """Output of the key network for images, (B, latent) fp32."""
         return through(self.key, self.encoder.prepare_shifted(images, shifts)).float()
 
     def _logits(self, query: Tensor, keys: Tensor) -> Tensor:
-        """Similarity `qᵀ W k` of each query with every key, (B, B) fp32: bf16 would put a floor under the loss."""
+        """Similarity `qᵀ W k` of each query and each key, (B, B) fp32. bf16 would limit how low the loss can fall."""
         with autocast("fp32", query.device.type):
             return query.float() @ self.W @ keys.T

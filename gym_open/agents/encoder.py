@@ -29,19 +29,19 @@ IMAGE_SHAPE = (84, 84, 3)
 
 
 def autocast(precision: PrecisionSetting, device: str = "cpu") -> torch.autocast:
-    """Context in which the network computes in `precision` (weights and losses stay fp32) on a `device`."""
+    """Context in which a network on `device` computes in `precision`. Weights and losses stay fp32."""
     return torch.autocast(device, torch.bfloat16, enabled=resolve(precision, device) == "bf16")
 
 
 def init_layer(layer: nn.Conv2d | nn.Linear, generator: torch.Generator, std: float = math.sqrt(2)) -> None:
-    """Orthogonal weights of gain `std` and zero bias, drawn from `generator` (as CleanRL's `layer_init`)."""
+    """Set orthogonal weights of gain `std`, drawn from `generator`, and zero bias, as CleanRL's `layer_init`."""
     nn.init.orthogonal_(layer.weight, std, generator=generator)
     if layer.bias is not None:
         nn.init.zeros_(layer.bias)
 
 
 class Convolutions(nn.Sequential):
-    """The layers that `convolutions` makes; the first six in one go where they compute in fp32 on a CPU."""
+    """The layers of `convolutions`. In fp32 on a CPU, compiled code computes the first six together."""
 
     def forward(self, input: Tensor) -> Tensor:  # noqa: A002  (its name in PyTorch)
         """(B, 3, 84, 84) to (B, features)."""
@@ -58,8 +58,8 @@ class Convolutions(nn.Sequential):
 def convolutions(features: int, activation: Callable[[], nn.Module], generator: torch.Generator) -> nn.Sequential:
     """The network of Mnih et al. 2015: convolutions 32 8×8/4, 64 4×4/2, 64 3×3/1, then a linear layer of `features`.
 
-    It maps (B, 3, 84, 84) to (B, features), with `activation`, `nn.ReLU` or `nn.LeakyReLU`, between the layers, not
-    after the last.
+    It maps (B, 3, 84, 84) to (B, features). `activation`, `nn.ReLU` or `nn.LeakyReLU`, is between the layers and not
+    after the last one.
     """
     layers = Convolutions(
         nn.Conv2d(IMAGE_SHAPE[2], 32, kernel_size=8, stride=4), activation(),
@@ -76,7 +76,7 @@ def convolutions(features: int, activation: Callable[[], nn.Module], generator: 
 
 _CHANNELS = (3, 16, 32, 32)
 _BLOCKS = 2
-"""Residual blocks a stage."""
+"""Residual blocks per stage."""
 
 
 class _Residual(nn.Module):
@@ -112,18 +112,18 @@ def impala(features: int, generator: torch.Generator) -> nn.Sequential:
 
 
 class Encoder(nn.Module):
-    """Picture to features: the network that `config.architecture` names, with a ReLU after the last layer too.
+    """From images to features: the network that `config.architecture` names, with another ReLU after the last layer.
 
     Attributes:
-        mean_image: what is subtracted from a picture, (3, 84, 84), in units of 0…255; zero until it is set, and for
-            good if the configuration says not to centre.
-        layers: the network itself, (B, 3, 84, 84) prepared pictures to (B, features).
+        mean_image: is subtracted from each image, (3, 84, 84), in units of 0…255. It is zero until it is set, and
+            stays zero if the configuration says not to centre.
+        layers: the network itself, from prepared images (B, 3, 84, 84) to (B, features).
     """
 
     shape = IMAGE_SHAPE
-    """Of what it looks at."""
+    """Shape of an input."""
     dtype = torch.uint8
-    """Of what it looks at."""
+    """Type of an input."""
     mean_image: Tensor
 
     def __init__(self, config: EncoderConfig, generator: torch.Generator) -> None:
@@ -136,10 +136,10 @@ class Encoder(nn.Module):
         self.layers = layers.append(nn.ReLU())
 
     def set_mean_image(self, images: Tensor) -> None:
-        """Let the mean of `images`, (N, 84, 84, 3) uint8, be what is subtracted from every picture.
+        """Set the mean image to the mean of `images`, (N, 84, 84, 3) uint8.
 
         Raises:
-            ValueError: if there is no image or their shape is another one.
+            ValueError: if there is no image, or the shape is wrong.
         """
         if images.shape[1:] != IMAGE_SHAPE or len(images) == 0:
             raise ValueError(f"images must have shape (N, 84, 84, 3) with N > 0, got {tuple(images.shape)}")
@@ -154,11 +154,11 @@ class Encoder(nn.Module):
         return self.prepare_shifted(images, no_shifts(len(images)))
 
     def prepare_shifted(self, images: Tensor, shifts: Tensor) -> Tensor:
-        """Centre and scale pictures, `(image − mean_image) · pixel_scale / 255`, then move each by its own shift.
+        """Centre and scale images, `(image − mean_image) · pixel_scale / 255`, then move each by its own shift.
 
         Args:
             images: (B, 84, 84, 3) uint8.
-            shifts: (B, 2) int64, as `augment.draw_shifts` gives them; zero comes in.
+            shifts: (B, 2) int64, from `augment.draw_shifts`. Zeros fill the uncovered edge.
 
         Returns:
             (B, 3, 84, 84) in channels-last memory order; bf16 inside `autocast("bf16")`, else float32.
@@ -170,12 +170,12 @@ class Encoder(nn.Module):
         return shift_each(images, shifts, weight, offset, torch.bfloat16 if low else torch.float32)
 
     def forward(self, prepared: Tensor) -> Tensor:
-        """Features (B, features) of prepared pictures (B, 3, 84, 84)."""
+        """Features (B, features) of prepared images (B, 3, 84, 84)."""
         return through(self.layers, prepared)
 
     @torch.no_grad()
     def encode(self, images: Tensor | np.ndarray) -> Tensor:
-        """Features (B, features), fp32 and without gradient, of pictures (B, 84, 84, 3) uint8.
+        """Features (B, features), fp32 and without gradient, of images (B, 84, 84, 3) uint8.
 
         A tensor must be on the encoder's device; an array is copied there.
 
@@ -184,18 +184,18 @@ class Encoder(nn.Module):
         """
         if images.shape[1:] != IMAGE_SHAPE or images.dtype not in (torch.uint8, np.uint8):
             raise ValueError(f"images must be (B, 84, 84, 3) uint8, got {tuple(images.shape)} {images.dtype}")
-        if isinstance(images, np.ndarray):  # copied, since torch takes no read-only array, nor one that runs backwards
+        if isinstance(images, np.ndarray):  # copied: torch refuses read-only arrays and negative strides
             images = torch.from_numpy(np.array(images, order="C")).to(self.mean_image.device)
         return self(self.prepare(images)).float()
 
 
 class StateEncoder(nn.Module):
-    """State to features: two hidden layers, tanh, as PPO's policies on state are in CleanRL's `ppo.py`."""
+    """From simulator state to features: two hidden layers with tanh, as in CleanRL's `ppo.py` for states."""
 
     shape = (STATE_SIZE,)
-    """Of what it is told."""
+    """Shape of an input."""
     dtype = torch.float32
-    """Of what it is told."""
+    """Type of an input."""
 
     def __init__(self, config: EncoderConfig, generator: torch.Generator) -> None:
         super().__init__()
@@ -206,19 +206,19 @@ class StateEncoder(nn.Module):
         self.layers = nn.Sequential(first, nn.Tanh(), second, nn.Tanh())
 
     def prepare(self, states: Tensor) -> Tensor:
-        """The states themselves, (B, `STATE_SIZE`) float32."""
+        """Return the states unchanged, (B, `STATE_SIZE`) float32."""
         return states
 
-    def prepare_shifted(self, states: Tensor, shifts: Tensor) -> Tensor:  # noqa: ARG002  (there is no picture)
-        """The states themselves: there is no picture to shift."""
+    def prepare_shifted(self, states: Tensor, shifts: Tensor) -> Tensor:  # noqa: ARG002  (there is no image)
+        """Return the states unchanged: there is no image to shift."""
         return states
 
     def forward(self, prepared: Tensor) -> Tensor:
-        """Features (B, features) of states."""
+        """Features (B, features) of states (B, `STATE_SIZE`)."""
         return self.layers(prepared)
 
 
 def make_encoder(config: EncoderConfig, generator: torch.Generator) -> Encoder | StateEncoder:
-    """The untrained encoder that the configuration names."""
+    """Create the untrained encoder that the configuration names."""
     kind = StateEncoder if config.architecture == "state" else Encoder
     return kind(config, generator)

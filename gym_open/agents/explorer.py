@@ -1,13 +1,14 @@
-"""The explorer: a world model, a reward made of it, and one PPO that seeks that reward.
+"""The explorer: a world model, an intrinsic reward that is computed from it, and one PPO that maximises this reward.
 
-Policy and world model share one encoder and one optimiser, unless they are told not to: OPEn found sharing the
-encoder's weights while exploring to be important. There is no reward from outside: nothing here takes one.
+Policy and world model share one encoder (unless `share_encoder` is false) and one optimiser: OPEn found that sharing
+the encoder's weights during exploration is important. There is no extrinsic reward: no function here takes one.
 
-Whatever the world model, the policy and it look at the same random shift of a picture in the update, so that one pass
-through a shared encoder serves both; and every reward is divided by the running deviation of its discounted sum, which
-its own paper asks for only in RND, so that the coefficients of PPO mean the same for all.
+With every world model, the policy and the model use the same random shift of an image in the update. So one pass
+through a shared encoder serves both. Every reward is divided by the running standard deviation of its discounted sum,
+so that the coefficients of PPO mean the same for all rewards. Of the papers, only RND's does this.
 
-One gradient-norm clip, PPO's 0.5, spans policy and model, as one Adam does: the encoder that they share takes one step.
+One gradient-norm clip, PPO's 0.5, covers policy and world model together, as one Adam does: their shared encoder takes
+one step.
 """
 
 import math
@@ -32,7 +33,7 @@ from gym_open.errors import DivergedError
 
 @dataclass(frozen=True)
 class Acted:
-    """What the explorer makes of N observations: what it does, and what it thought, each (N,)."""
+    """The explorer's actions and estimates for N observations, each (N,)."""
 
     actions: Tensor
     logprobs: Tensor
@@ -41,12 +42,12 @@ class Acted:
     values: Tensor
     """0 for an explorer without a policy."""
     features: Tensor | None = None
-    """What the policy's encoder made of the observations, (N, features), if that may spare the reward a look."""
+    """The policy's encoder's features of the observations, (N, features), if the reward may reuse them."""
 
 
 @dataclass(frozen=True)
 class UpdateStats:
-    """Figures of an update, averaged over its minibatches; not a number where there is no model, or no policy."""
+    """Statistics of an update, averaged over its minibatches. NaN without a world model, or without a policy."""
 
     world_model_loss: float
     policy_loss: float
@@ -57,10 +58,10 @@ class UpdateStats:
 
 @dataclass(frozen=True)
 class LearnedRollout:
-    """What became of a rollout of T steps in N streams, of P summands of reward.
+    """Rewards and statistics of a rollout of T steps in N streams, with P summands of reward.
 
     Attributes:
-        reward: intrinsic reward before it is scaled, (T, N): the sum of its parts.
+        reward: intrinsic reward before it is scaled, (T, N). It is the sum of its parts.
         parts: (T, N, P).
         stats: losses of the update.
     """
@@ -71,13 +72,14 @@ class LearnedRollout:
 
 
 class Explorer:
-    """Acts, rewards itself, and learns.
+    """Chooses actions, computes its own reward, and learns.
 
     Attributes:
-        policy: None if it acts at random.
-        model: None if it learns nothing of the world.
-        encoder: what transfers to a task: the policy's, or where there is none the model's; None for plain random play.
-        optimizer: of policy and model together; None if there is neither.
+        policy: None if actions are random.
+        model: the world model; None if there is none.
+        encoder: the encoder that transfers to a task. It is the policy's, or the model's if there is no policy;
+            None for plain random exploration.
+        optimizer: of policy and world model together; None if there is neither.
         reward_parts: names of the summands of the reward.
     """
 
@@ -114,19 +116,19 @@ class Explorer:
         return self.model is not None
 
     def set_mean_image(self, images: Tensor) -> None:
-        """Let the mean of (N, 84, 84, 3) uint8 pictures be what every encoder subtracts."""
+        """Set the mean image of every encoder to the mean of images (N, 84, 84, 3) uint8."""
         for module in self._modules.modules():
             if isinstance(module, Encoder):
                 module.set_mean_image(images)
 
     def entered(self, stream: int) -> None:
-        """Take note that a stream has entered another world."""
+        """Notify the reward that a stream has entered another world."""
         if self._reward is not None:
             self._reward.entered(stream)
 
     @torch.no_grad()
     def act(self, images: Tensor) -> Acted:
-        """Look at N observations, (N, 84, 84, 3) uint8, and choose an action for each.
+        """Choose an action for each of N observations, (N, 84, 84, 3) uint8.
 
         Raises:
             DivergedError: if the policy's probabilities are not finite.
@@ -144,14 +146,14 @@ class Explorer:
         return Acted(actions.flatten(), logprobs.gather(1, actions).flatten(), entropy, values, features)
 
     def learn(self, images: Tensor, acted: Sequence[Acted]) -> LearnedRollout:
-        """Reward the steps of a rollout of N streams, and learn from them.
+        """Compute the rewards of a rollout of N streams, and learn from it.
 
-        The last step bootstraps from the value of what it led to, also where the curriculum then leaves the world: a
-        switch is a truncation, never an end.
+        The last step bootstraps from the value of the observation that it led to, even if the curriculum then leaves
+        the world: a switch is a truncation, never a termination.
 
         Args:
-            images: what was seen before each of T steps and after the last, (T + 1, N, 84, 84, 3) uint8.
-            acted: what `act` made of each of them; of the last, only the values count.
+            images: observations before each of T steps and after the last, (T + 1, N, 84, 84, 3) uint8.
+            acted: results of `act` for each of them; of the last, only the values are used.
 
         Raises:
             DivergedError: if the world model's loss is not finite.
@@ -170,13 +172,13 @@ class Explorer:
         return LearnedRollout(reward, parts, stats)
 
     def _known(self, acted: Sequence[Acted]) -> Tensor | None:
-        """What the model's encoder made of all pictures, (T + 1, N, features), if it was the policy's as it acted."""
+        """Features of all images from the model's encoder, (T + 1, N, features), if the policy has computed them."""
         known = [one.features for one in acted if one.features is not None]
         shared = self.policy is not None and self.model is not None and self.policy.encoder is self.model.encoder
         return torch.stack(known) if shared and len(known) == len(acted) else None
 
     def world_loss(self, transitions: TransitionBatch, generator: torch.Generator) -> float:
-        """The world model's loss on B steps of one world, times its `loss_scale`; not a number without a model.
+        """The world model's loss on B transitions of one world, times its `loss_scale`. NaN without a world model.
 
         Raises:
             DivergedError: if it is not finite.
@@ -215,7 +217,7 @@ class Explorer:
         return UpdateStats(*(sums / count).tolist())
 
     def _minibatch(self, batch: "_RolloutBatch") -> Tensor:
-        """One gradient step; returns the figures of `UpdateStats` in their order, (5,)."""
+        """Take one gradient step, and return the values of `UpdateStats` in their order, (5,)."""
         assert self.model is not None
         assert self.optimizer is not None
         ppo = self.config.ppo
@@ -242,7 +244,7 @@ class Explorer:
         return torch.cat([model_loss[None], figures]).detach()
 
     def _policy_figures(self, batch: "_RolloutBatch", logits: Tensor, values: Tensor) -> Tensor:
-        """Policy loss, value loss, mean entropy, and KL divergence from the policy that played, (4,)."""
+        """Policy loss, value loss, mean entropy, and KL divergence from the policy that acted, (4,)."""
         ppo = self.config.ppo
         logprobs = F.log_softmax(logits, dim=1)
         logratio = logprobs.gather(1, batch.actions[:, None]).flatten() - batch.logprobs
@@ -261,14 +263,14 @@ class Explorer:
         )
 
     def tensors(self) -> dict[str, Tensor]:
-        """Weights, running statistics and the states of the generators, by name (the optimiser's state is apart)."""
+        """Weights, running statistics and states of the generators, by name, without the state of the optimiser."""
         scale = {"reward_scale": torch.from_numpy(self.reward_scale.state.copy())}
         generators = {"act": self._act.get_state(), "learn": self._learn.get_state()}
         kept = {} if self._reward is None else {f"reward.{k}": v for k, v in self._reward.tensors().items()}
         return {**self._modules.state_dict(), **scale, **generators, **kept}
 
     def load_tensors(self, tensors: dict[str, Tensor]) -> None:
-        """Restore what `tensors` gave."""
+        """Restore the state from the result of `tensors`."""
         rest = dict(tensors)
         self.reward_scale.state = rest.pop("reward_scale").numpy().copy()
         self._act.set_state(rest.pop("act"))
@@ -281,7 +283,7 @@ class Explorer:
 
 @dataclass(frozen=True)
 class _RolloutBatch:
-    """B steps: pictures (B, 84, 84, 3) uint8, everything else (B,)."""
+    """B steps: images (B, 84, 84, 3) uint8, everything else (B,)."""
 
     obs: Tensor
     actions: Tensor

@@ -11,14 +11,14 @@ from gym_open.errors import DivergedError
 class ActorCritic(nn.Module):
     """An encoder with a linear policy head (gain 0.01) and a linear value head (gain 1), as in CleanRL's `Agent`.
 
-    A frozen encoder does not learn, and what it makes of a picture never changes: `observe` then gives features, made
-    once, in place of pictures.
+    A frozen encoder does not learn, so its features of an image never change. In this case, `observe` returns features,
+    which are computed once, in place of images.
 
     Args:
-        encoder: of pictures, or of states.
+        encoder: of images, or of simulator states.
         n_actions: width of the policy head.
         generator: source of the heads' weights.
-        frozen: whether the encoder stays as it is.
+        frozen: whether the encoder does not learn.
     """
 
     def __init__(
@@ -35,24 +35,24 @@ class ActorCritic(nn.Module):
 
     @property
     def obs_shape(self) -> tuple[int, ...]:
-        """Shape of one of the observations that `observe` gives."""
+        """Shape of one observation that `observe` returns."""
         return (self.encoder.config.features,) if self.frozen else self.encoder.shape
 
     @property
     def obs_dtype(self) -> torch.dtype:
-        """Type of the observations that `observe` gives."""
+        """Type of the observations that `observe` returns."""
         return torch.float32 if self.frozen else self.encoder.dtype
 
     def observe(self, seen: Tensor) -> Tensor:
-        """What a rollout keeps of B pictures or states: themselves, or the features of a frozen encoder."""
+        """What a rollout stores of B images or states: the input itself, or the features of a frozen encoder."""
         return self.encoder(self.encoder.prepare(seen)).float() if self.frozen else seen
 
     def prepare(self, obs: Tensor) -> Tensor:
-        """What `forward` takes, of what `observe` gave."""
+        """Turn results of `observe` into the input of `forward`."""
         return obs if self.frozen else self.encoder.prepare(obs)
 
     def prepare_shifted(self, obs: Tensor, shifts: Tensor) -> Tensor:
-        """The same with each picture moved by its shift, (B, 2) int64; features and states stay as they are."""
+        """`prepare`, and move each image by its shift, (B, 2) int64. Features and states are not shifted."""
         return obs if self.frozen else self.encoder.prepare_shifted(obs, shifts)
 
     def forward(self, prepared: Tensor) -> tuple[Tensor, Tensor]:
@@ -70,12 +70,12 @@ class ActorCritic(nn.Module):
     def get_action_and_value(
         self, prepared: Tensor, action: Tensor | None = None, generator: torch.Generator | None = None
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Sample actions, or look at given ones.
+        """Sample actions, or evaluate given ones.
 
         Args:
-            prepared: what `prepare` gave, of B observations.
+            prepared: result of `prepare` for B observations.
             action: (B,) int64; sampled if None.
-            generator: source of the samples, on the CPU; needed if `action` is None.
+            generator: source of the samples, on the CPU; required if `action` is None.
 
         Returns:
             Action, its log-probability, the policy's entropy in nats, and the value, each (B,).

@@ -1,6 +1,6 @@
 """Proximal policy optimisation, line by line as in CleanRL's `ppo_atari.py` (Huang et al. 2022).
 
-Two departures: truncation and termination are told apart (Pardo et al. 2018), and pictures are shifted at random in
+Two departures: truncation and termination are distinguished (Pardo et al. 2018), and images are shifted at random in
 the update (Kostrikov et al. 2021).
 """
 
@@ -21,15 +21,15 @@ class Rollout:
     """T steps of N environments, time first.
 
     Attributes:
-        obs: what the policy saw before each action, (T, N, …): pictures (84, 84, 3) uint8, features, or states.
+        obs: observation before each action, (T, N, …): images (84, 84, 3) uint8, features, or simulator states.
         actions: (T, N) int64.
         logprobs: log-probability of each action when it was taken, (T, N).
         rewards: (T, N).
         values: value of `obs`, (T, N).
-        next_values: value of what each action led to, (T, N). At the end of an episode this is the episode's own last
-            observation, never the first of the next episode.
-        terminations: the step ended its episode for good: nothing is to be had after it, (T, N) bool.
-        truncations: the step was the last that was looked at, but the world would have gone on, (T, N) bool.
+        next_values: value of the observation that each action led to, (T, N). At the end of an episode, this is the
+            last observation of the episode, never the first of the next one.
+        terminations: whether the step terminated its episode, so that no reward can follow, (T, N) bool.
+        truncations: whether the step was the last of its episode although the world could go on, (T, N) bool.
     """
 
     obs: Tensor
@@ -45,7 +45,7 @@ class Rollout:
     def empty(
         cls, n_steps: int, n_envs: int, obs_shape: tuple[int, ...], obs_dtype: torch.dtype, device: str = "cpu"
     ) -> "Rollout":
-        """Room for `n_steps` of `n_envs` environments, all zero."""
+        """A rollout of zeros for `n_steps` of `n_envs` environments."""
         shape = (n_steps, n_envs)
         return cls(
             obs=torch.zeros(*shape, *obs_shape, dtype=obs_dtype, device=device),
@@ -61,7 +61,7 @@ class Rollout:
 
 @dataclass(frozen=True)
 class PPOStats:
-    """What an update did, averaged over its gradient steps (`explained_variance` is of the rollout's own values)."""
+    """Statistics of an update, averaged over its gradient steps; `explained_variance` is that of the rollout."""
 
     policy_loss: float
     value_loss: float
@@ -75,8 +75,8 @@ def gae(rollout: Rollout, gamma: float, gae_lambda: float) -> Tensor:
     """Generalised advantage estimate (Schulman et al. 2016), (T, N).
 
     `delta[t] = reward[t] + gamma · next_value[t] · (1 − terminated[t]) − value[t]` and
-    `advantage[t] = delta[t] + gamma · lambda · (1 − ended[t]) · advantage[t+1]`: a terminated step bootstraps from
-    nothing, a truncated one from the value of its last observation, and nothing flows back over either.
+    `advantage[t] = delta[t] + gamma · lambda · (1 − ended[t]) · advantage[t+1]`: a terminated step does
+    not bootstrap, a truncated one bootstraps from the value of its last observation, and the sum stops at both.
     """
     alive = (~rollout.terminations).float()
     same_episode = (~(rollout.terminations | rollout.truncations)).float()
@@ -98,7 +98,7 @@ def policy_loss(logratio: Tensor, advantages: Tensor, clip_coef: float) -> Tenso
 
 
 def value_loss(newvalue: Tensor, value: Tensor, returns: Tensor, clip_coef: float | None) -> Tensor:
-    """Half the mean square error to the returns; the worse of the clipped and the unclipped value if `clip_coef`."""
+    """Half the mean square error to the returns; with `clip_coef`, the larger error of clipped and unclipped value."""
     v_loss = (newvalue - returns) ** 2
     if clip_coef is not None:
         v_clipped = value + (newvalue - value).clamp(-clip_coef, clip_coef)
@@ -107,7 +107,7 @@ def value_loss(newvalue: Tensor, value: Tensor, returns: Tensor, clip_coef: floa
 
 
 def explained_variance(values: Tensor, returns: Tensor) -> float:
-    """`1 − Var(returns − values) / Var(returns)`; not a number if the returns do not vary."""
+    """`1 − Var(returns − values) / Var(returns)`; NaN if the returns do not vary."""
     variance = returns.var(unbiased=False)
     return float("nan") if variance == 0 else float(1 - (returns - values).var(unbiased=False) / variance)
 
@@ -119,13 +119,13 @@ def ppo_update(
     config: PPOConfig,
     generator: torch.Generator,
 ) -> PPOStats:
-    """Improve `agent` on one rollout, `config.update_epochs` times through it in shuffled minibatches.
+    """Improve `agent` on one rollout, in `config.update_epochs` epochs of shuffled minibatches.
 
     Args:
-        agent: learns in place.
-        optimizer: over at least the agent's parameters; its learning rate is used as it stands.
-        rollout: T steps of N environments that `agent` made.
-        config: coefficients; `anneal_lr` is the caller's to apply.
+        agent: is changed in place.
+        optimizer: of at least the agent's parameters. Its learning rate is used unchanged.
+        rollout: T steps of N environments by `agent`.
+        config: coefficients. The caller applies `anneal_lr`.
         generator: source of the shuffles and shifts, on the CPU.
 
     Raises:

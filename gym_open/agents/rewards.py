@@ -1,4 +1,4 @@
-"""Rewards from within: what a world model makes of the steps that were taken."""
+"""Intrinsic rewards, which are computed from a world model and the steps that were taken."""
 
 import hashlib
 import math
@@ -16,7 +16,7 @@ from gym_open.agents.world_model import TransitionBatch, WorldModel
 
 
 class Reward(ABC):
-    """Turns steps into a reward of named summands.
+    """Computes rewards of steps, as named summands.
 
     Attributes:
         parts: names of the P summands.
@@ -29,23 +29,23 @@ class Reward(ABC):
 
     @abstractmethod
     def __call__(self, images: Tensor, actions: Tensor, features: Tensor | None = None) -> Tensor:
-        """Summands (T, N, P) fp32 of the reward of T steps in N worlds.
+        """Summands (T, N, P) fp32 of the rewards of T steps in N worlds.
 
         Args:
             images: observations around the steps, (T + 1, N, 84, 84, 3) uint8.
             actions: (T, N) int64.
-            features: what the world model's encoder makes of the images, (T + 1, N, features), if that is known.
+            features: features of the images from the world model's encoder, (T + 1, N, features), if they are known.
         """
 
-    def entered(self, stream: int) -> None:  # noqa: B027  (most rewards do not mind)
+    def entered(self, stream: int) -> None:  # noqa: B027  (most rewards need not know)
         """Called when a stream enters another world."""
 
     def tensors(self) -> dict[str, Tensor]:
-        """What a checkpoint must keep, by name."""
+        """State that a checkpoint must keep, by name."""
         return {}
 
-    def load_tensors(self, tensors: dict[str, Tensor]) -> None:  # noqa: B027  (most have nothing to keep)
-        """Restore what `tensors` gave."""
+    def load_tensors(self, tensors: dict[str, Tensor]) -> None:  # noqa: B027  (most have no state)
+        """Restore the state from the result of `tensors`."""
 
 
 def make_reward(name: RewardName, model: WorldModel, n_streams: int) -> Reward:
@@ -55,14 +55,14 @@ def make_reward(name: RewardName, model: WorldModel, n_streams: int) -> Reward:
 
 
 class OwnError(Reward):
-    """The world model's own error (Pathak et al. 2017, Burda et al. 2018): go where it is wrong."""
+    """The world model's own error (Pathak et al. 2017, Burda et al. 2018): it leads to where the model is wrong."""
 
     def __init__(self, model: WorldModel, n_streams: int = 1) -> None:
         super().__init__(model, n_streams)
         self.parts = model.error_parts
 
     def __call__(self, images: Tensor, actions: Tensor, features: Tensor | None = None) -> Tensor:  # noqa: ARG002
-        """The model's errors, summand by summand."""
+        """The summands of the model's error."""
         errors = self.model.errors(
             TransitionBatch(images[:-1].flatten(0, 1), actions.flatten(), images[1:].flatten(0, 1))
         )
@@ -74,12 +74,12 @@ class Ride(Reward):
 
     Departures from the paper, each with its reason:
 
-    - No episodic counts: OPEn's text names only the distance, and play in a sandbox has no episodes. `CountedRide` has
-      them.
-    - No clipping to ±1: a reward is divided by its running deviation, which bounds its scale without cutting off what
-      is most surprising.
-    - RIDE does not train its own forward and inverse model (10 · forward + 0.1 · inverse): the latent space is that of
-      whichever world model it is given, which learns by its own loss. That is OPEn's combination of parts.
+    - No episodic counts: OPEn's text names only the distance, and exploration of a sandbox has no episodes.
+      `CountedRide` has counts.
+    - No clipping to ±1: a reward is divided by its running standard deviation. This bounds its scale and keeps the
+      largest surprises.
+    - RIDE does not train its own forward and inverse model (10 · forward + 0.1 · inverse). Its latent space is that of
+      any world model, which learns by its own loss. That is OPEn's combination of parts.
     """
 
     parts = ("impact",)
@@ -87,7 +87,7 @@ class Ride(Reward):
     def __call__(
         self,
         images: Tensor,
-        actions: Tensor,  # noqa: ARG002  (what it did shows)
+        actions: Tensor,  # noqa: ARG002  (only their effect counts)
         features: Tensor | None = None,
     ) -> Tensor:
         """`‖latent(s′) − latent(s)‖₂` of each step."""
@@ -97,11 +97,11 @@ class Ride(Reward):
 
 
 class CountedRide(Ride):
-    """Impact over √N, N being how often what a step led to was seen since its stream entered the world.
+    """Impact over √N. N counts how often the stream has seen the result of the step since it entered the world.
 
-    That is RIDE's own reward with "episode" read as "stay in a world". Without it, the largest impact can be had for
-    ever between the same two places. RIDE counts observations, which repeat in a grid world; here they hardly do, so
-    what is counted is a picture's cell (`cells`).
+    This is RIDE's own reward, with segments in place of episodes. Without the counts, moving to and fro between two
+    places can have the largest impact for ever. RIDE counts observations, which repeat in a grid world. Here they
+    hardly repeat, so this class counts cells of images (`cells`).
     """
 
     def __init__(self, model: WorldModel, n_streams: int = 1) -> None:
@@ -109,7 +109,7 @@ class CountedRide(Ride):
         self._seen: list[Counter[int]] = [Counter() for _ in range(n_streams)]
 
     def __call__(self, images: Tensor, actions: Tensor, features: Tensor | None = None) -> Tensor:
-        """`‖latent(s′) − latent(s)‖₂ / √N(s′)` of each step, s′ itself counted."""
+        """`‖latent(s′) − latent(s)‖₂ / √N(s′)` of each step. N includes this occurrence of s′."""
         found = np.array(cells(images[1:].flatten(0, 1))).reshape(actions.shape)
         counts = torch.ones(actions.shape)
         for t, row in enumerate(found.tolist()):
@@ -119,11 +119,11 @@ class CountedRide(Ride):
         return super().__call__(images, actions, features) / counts.sqrt()[..., None]
 
     def entered(self, stream: int) -> None:
-        """Forget what the stream has seen."""
+        """Reset the counts of the stream."""
         self._seen[stream].clear()
 
     def tensors(self) -> dict[str, Tensor]:
-        """The counts of each stream, (cells seen, 2) int64: the cell, and how often."""
+        """The counts of each stream, (cells seen, 2) int64: the cell and its count."""
         pairs = [torch.tensor(list(seen.items()), dtype=torch.int64).view(-1, 2) for seen in self._seen]
         return {f"seen/{stream}": pair for stream, pair in enumerate(pairs)}
 
@@ -133,16 +133,16 @@ class CountedRide(Ride):
 
 
 _BLOCK = 7
-"""Edge in pixels: an object is two thirds of that wide, and a move takes it about one block on."""
+"""Edge of a block in pixels. An object is two thirds as wide, and a move takes it about one block further."""
 _LEVELS = 16
-"""Grey levels to one: an object's arrival changes a block's mean by more."""
+"""Grey levels that count as one level. An object that arrives changes the mean of a block by more."""
 
 
 def cells(images: Tensor) -> list[int]:
-    """What each of B pictures (B, 84, 84, 3) uint8 shows, coarsely: 64 bits, the same for pictures that look alike.
+    """The cell of each of B images (B, 84, 84, 3) uint8: 64 bits, which are the same for images that look alike.
 
-    As in Go-Explore (Ecoffet et al. 2021), a picture is made small and its levels few: here 12×12, each number the mean
-    of 7×7 pixels of a colour, 16 levels to one.
+    As in Go-Explore (Ecoffet et al. 2021), an image is reduced to few pixels and few levels: here to 12×12 pixels, each
+    the mean of 7×7 pixels of a colour, with 16 grey levels per level.
     """
     sums = F.avg_pool2d(images.permute(0, 3, 1, 2).float(), _BLOCK, divisor_override=1)  # of integers: exact
     coarse = (sums.long() // (_BLOCK * _BLOCK * _LEVELS)).to(torch.uint8).numpy()
@@ -151,19 +151,19 @@ def cells(images: Tensor) -> list[int]:
 
 
 class RewardScale:
-    """Divides rewards by the running deviation of their discounted sum (Burda et al. 2018, RND).
+    """Divides rewards by the running standard deviation of their discounted sum (Burda et al. 2018, RND).
 
-    The sum runs on through switches of world: play is not episodic. The mean is not subtracted. Its discount is PPO's
-    γ (.95) in place of RND's .99: what is scaled then is the return that PPO estimates.
+    The sum continues when a stream switches to another world, because exploration is not episodic. The mean is not
+    subtracted. The discount is PPO's γ (.95) in place of RND's .99, because PPO estimates this return.
     """
 
     def __init__(self, n_streams: int, gamma: float) -> None:
         self._gamma = gamma
         self.state = np.zeros(n_streams + 3)
-        """Discounted sum of each stream, then count, mean and sum of squared differences of all sums so far."""
+        """Discounted sum of each stream; then count, mean and sum of squared differences of all sums so far."""
 
     def normalise(self, rewards: np.ndarray) -> np.ndarray:
-        """Take T steps of N streams into account, (T, N), and return them scaled."""
+        """Update the statistics with the rewards of T steps of N streams, (T, N), and return the scaled rewards."""
         sums, (count, mean, squares) = self.state[:-3], self.state[-3:]
         for now in rewards:
             sums = self._gamma * sums + now

@@ -1,20 +1,21 @@
-"""RND: a world model of what has been seen, by predicting a random network's view of it (Burda et al. 2018).
+"""RND: a world model that predicts the output of a random network for each observation (Burda et al. 2018).
 
     loss = mean_d (f̂_d(s) − f_d(s))²,     reward = mean_d (f̂_d(s′) − f_d(s′))²,     f frozen
 
-The target f sees pixels less their running mean, over their running deviation, clipped; the running statistics are over
-everything watched so far, so the first rollout primes them: the policy is still as good as uniform then.
+The target f sees pixels minus their running mean, divided by their running standard deviation, and clipped. The running
+statistics cover all images so far. The first rollout initialises them, and its policy is still nearly uniform.
 
 Departures from `openai/random-network-distillation`, each with its reason:
 
-- The predictor is the encoder that the policy uses (OPEn shares them) with the predictor's head on it, so it sees the
-  encoder's centred picture and not the target's.
-- It learns from s, not s′: the policy's pass through the encoder serves it. All but the last picture of a segment are
-  some step's s.
-- The deviation of a pixel counts as one grey level at least: most pixels of a table never change.
-- Pictures are shifted in the update, the target's as the predictor's; what comes in is the mean picture.
-- Non-episodic intrinsic value without a second head: there is no reward from outside.
-- The reward's running deviation discounts with PPO's γ, .95, not .99: the return that is scaled is the one estimated.
+- The predictor is the policy's encoder (OPEn shares them) with a head of its own. It therefore sees the encoder's
+  centred image and not the target's.
+- It learns from s, not from s′, so that it can use the policy's pass through the encoder. All images of a segment but
+  the last are the s of some step.
+- The standard deviation of a pixel is at least one grey level, because most pixels of a table never change.
+- Images are shifted in the update, alike for target and predictor. The mean image fills the uncovered edge.
+- Intrinsic value is non-episodic and has no second head, because there is no extrinsic reward.
+- The running standard deviation of the reward discounts with PPO's γ, .95, not .99: it scales the return that PPO
+  estimates.
 """
 
 import torch
@@ -28,11 +29,11 @@ from gym_open.agents.world_model import TransitionBatch, WorldModel
 
 
 class Rnd(WorldModel):
-    """A frozen random network and a predictor of what it gives.
+    """A frozen random network, and a predictor of its output.
 
     Attributes:
-        target: normalised pictures (B, 3, 84, 84) to (B, outputs); never learns.
-        predictor: the encoder's features to (B, outputs).
+        target: from normalised images (B, 3, 84, 84) to (B, outputs); it never learns.
+        predictor: from the encoder's features to (B, outputs).
     """
 
     error_parts = ("error",)
@@ -59,15 +60,15 @@ class Rnd(WorldModel):
         self.register_buffer("_squares", torch.zeros(IMAGE_SHAPE, dtype=torch.int64))
 
     def watch(self, images: Tensor) -> None:
-        """Let (B, 84, 84, 3) uint8 pictures count in each pixel's mean and deviation."""
+        """Add images (B, 84, 84, 3) uint8 to the mean and standard deviation of each pixel."""
         self._watched += len(images)
-        for part in images.split(256):  # sums that large are exact in fp32 (256 · 255² < 2²⁴), and many times faster
+        for part in images.split(256):  # such sums are exact in fp32 (256 · 255² < 2²⁴), and much faster
             pixels = part.float()
             self._sums += pixels.sum(dim=0).long()
             self._squares += pixels.square_().sum(dim=0).long()
 
     def normalised(self, images: Tensor, shifts: Tensor) -> Tensor:
-        """What the target sees: `clip((image − mean) / max(deviation, 1), ±clip)`, then shifted, zero coming in.
+        """The input of the target: `clip((image − mean) / max(deviation, 1), ±clip)`, then shifted; the edge is 0.
 
         Args:
             images: (B, 84, 84, 3) uint8.
@@ -96,17 +97,17 @@ class Rnd(WorldModel):
 
     @torch.no_grad()
     def errors(self, transitions: TransitionBatch) -> dict[str, Tensor]:
-        """`error`: the mean square error for what each step led to."""
+        """`error`: the mean square error for the observation that each step led to."""
         shifts = no_shifts(len(transitions.next_obs))
         return {"error": self._error(transitions.next_obs, shifts, self.features(transitions.next_obs, shifts))}
 
     @torch.no_grad()
     def latent(self, images: Tensor, features: Tensor | None = None) -> Tensor:
-        """What the predictor gives for B pictures, (B, outputs)."""
+        """Output of the predictor for B images, (B, outputs)."""
         return self.predictor(self.unshifted(images) if features is None else features).float()
 
     def _error(self, images: Tensor, shifts: Tensor, features: Tensor) -> Tensor:
-        """Square error averaged over the outputs, (B,) fp32, given the encoder's features of the shifted pictures."""
+        """Mean square error over the outputs, (B,) fp32, given the encoder's features of the shifted images."""
         with torch.no_grad():
             target = through(self.target, self.normalised(images, shifts)).float()
         return (self.predictor(features).float() - target).square().mean(dim=1)

@@ -1,8 +1,8 @@
-"""Pictures shared out among threads: each takes its part through the whole network, and all the way back.
+"""Data parallelism on the CPU: each thread takes its part of the images forward and backward through the whole network.
 
-PyTorch's own way splits every operation: its threads meet hundreds of times a minibatch, and spin while they wait.
-Where another process needs the same cores, that is many times slower than one thread. Here they meet twice a minibatch,
-and wait asleep. Compiled code and PyTorch's operations hold no interpreter lock.
+PyTorch itself splits every operation: its threads synchronise hundreds of times per minibatch, and spin while they
+wait. If another process needs the same cores, that is many times slower than one thread. Here, threads synchronise
+twice per minibatch, and sleep while they wait. Compiled code and PyTorch's operations release the interpreter lock.
 """
 
 import functools
@@ -19,23 +19,23 @@ from torch import Tensor, nn
 
 T = TypeVar("T")
 LEAST = 8
-"""Pictures that are worth a thread."""
+"""Images that are worth a thread."""
 _count = 1
 
 
 def set_threads(count: int) -> None:
-    """Let networks on the CPU share their pictures out among so many threads; PyTorch's own number becomes one.
+    """Set the number of threads of networks on the CPU. PyTorch's own number of threads becomes one.
 
-    Another number rounds sums in another order.
+    Another number of threads adds in another order, which changes the last bits.
     """
-    global _count  # noqa: PLW0603  (as PyTorch's own, it is the process's)
+    global _count  # noqa: PLW0603  (it belongs to the process, like PyTorch's own)
     _count = count
     torch.set_num_threads(1)
 
 
 @contextmanager
 def threads(count: int) -> Iterator[None]:
-    """`set_threads` for a while."""
+    """`set_threads` within this context."""
     before, torchs = _count, torch.get_num_threads()
     set_threads(count)
     try:
@@ -46,14 +46,14 @@ def threads(count: int) -> Iterator[None]:
 
 
 def in_parts(n: int, work: Callable[[int, int], T]) -> list[T]:
-    """What `work(begin, end)` gives for each thread's part of n pictures, in order."""
+    """Results of `work(begin, end)` for each thread's part of n images, in order."""
     count = max(min(_count, n // LEAST), 1)
     edges = [round(n * part / count) for part in range(count + 1)]
     return side_by_side([partial(work, *part) for part in pairwise(edges)])
 
 
 def side_by_side(works: Sequence[Callable[[], T]]) -> list[T]:
-    """What each gives, in order; the first is done here, each other one in a thread of its own."""
+    """Results of all functions, in order. The first runs in this thread, each other one in a thread of its own."""
     first, *others = works
     if not others:
         return [first()]
@@ -63,20 +63,20 @@ def side_by_side(works: Sequence[Callable[[], T]]) -> list[T]:
 
 @functools.cache
 def _workers(count: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(count, "pictures")
+    return ThreadPoolExecutor(count, "images")
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_workers.cache_clear)  # threads do not live on in a forked process
+    os.register_at_fork(after_in_child=_workers.cache_clear)  # a forked process has no threads
 
 
 def _alone(work: Callable[[], T]) -> T:
-    torch.set_num_threads(1)  # PyTorch's, of which each thread has a number of its own
+    torch.set_num_threads(1)  # each thread has its own number of PyTorch threads
     return work()
 
 
 def through(network: nn.Module, prepared: Tensor) -> Tensor:
-    """`network(prepared)`, (B, …), its pictures shared out among the threads if they are on the CPU."""
+    """`network(prepared)`, (B, …). On the CPU, the images are divided among the threads."""
     if _count == 1 or len(prepared) < 2 * LEAST or prepared.device.type != "cpu" or prepared.requires_grad:
         return network(prepared)
     learned = [parameter for parameter in network.parameters() if parameter.requires_grad]
@@ -87,11 +87,11 @@ def through(network: nn.Module, prepared: Tensor) -> Tensor:
 class _Through(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, network: nn.Module, prepared: Tensor, keep: bool, *learned: Tensor) -> Tensor:
-        """What the network makes of all parts; what leads back through each of them is kept if `keep`."""
+        """Output of the network for all parts. The graph of each part is kept for the backward pass if `keep`."""
         low, dtype = torch.is_autocast_enabled("cpu"), torch.get_autocast_dtype("cpu")
 
         def work(begin: int, end: int) -> Tensor:
-            # Each thread has settings of its own. Weights in bf16 that one part leads back through serve no other part.
+            # Each thread has its own settings. bf16 weights in the graph of one part cannot serve another part.
             with torch.set_grad_enabled(keep), torch.autocast("cpu", dtype, enabled=low, cache_enabled=not keep):
                 return network(prepared[begin:end])
 
@@ -102,7 +102,7 @@ class _Through(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        """Gradients of what is learned: every part's own, added up in the order of parts."""
+        """Gradients of the learned parameters: those of all parts, added in the order of the parts."""
         shares = gradients[0].split([len(part) for part in ctx.parts])
         pairs = zip(ctx.parts, shares, strict=True)
         found = side_by_side([partial(torch.autograd.grad, part, ctx.learned, share) for part, share in pairs])

@@ -1,8 +1,8 @@
-"""Sums of products in registers, for compiled code: what LLVM does not find by itself in numba's loops.
+"""Sums of products in registers, for compiled code. LLVM does not find this optimisation in numba's loops by itself.
 
 A tile of sums is `ROWS` by `WIDTH` numbers, which fill most of the processor's registers. Each step multiplies one
-number of every row by `WIDTH` numbers that all rows share. So a step loads few numbers for many products, which is what
-the fast matrix products of BLAS libraries do as well.
+number of every row by `WIDTH` numbers that all rows share. So a step loads few numbers for many products, as the fast
+matrix products of BLAS libraries do.
 """
 
 from collections.abc import Callable
@@ -15,40 +15,40 @@ from numba.core.registry import cpu_target
 from numba.extending import intrinsic
 
 _TARGET: Any = cpu_target.target_context
-_AVX512 = "+avx512f" in _TARGET.codegen().magic_tuple()[2]  # by which numba, too, tells its kept machine code apart
+_AVX512 = "+avx512f" in _TARGET.codegen().magic_tuple()[2]  # numba's cache of machine code depends on it, too
 LANES = 16 if _AVX512 else 8
 """fp32 numbers in a register."""
 ROWS = 12 if _AVX512 else 6
-"""With two registers a row, that many sums fill most of the 32 registers that AVX-512 has, or of AVX2's 16."""
+"""With two registers per row, so many rows fill most of the 32 registers of AVX-512, or of the 16 of AVX2."""
 WIDTH = 2 * LANES
 _FLOAT, _INDEX = ir.FloatType(), ir.IntType(64)
 _VECTOR = ir.VectorType(_FLOAT, LANES)
 
 
 class _Code:
-    """Writes LLVM's instructions for vectors of fp32 numbers in arrays."""
+    """Writes LLVM instructions for vectors of fp32 numbers in arrays."""
 
     def __init__(self, context: Any, builder: Any, signature: Any, values: Any) -> None:
         self.context, self.builder, self.types = context, builder, signature.args
         self.values = values
 
     def data(self, argument: int) -> Any:
-        """Pointer to the first number of an array that is an argument."""
+        """Pointer to the first number of an array argument."""
         return self.context.make_array(self.types[argument])(self.context, self.builder, self.values[argument]).data
 
     def at(self, pointer: Any, *offsets: Any) -> Any:
-        """Pointer to a number further on."""
+        """Pointer to a number at some offset."""
         for offset in offsets:
             pointer = self.builder.gep(pointer, [offset if isinstance(offset, ir.Value) else _INDEX(offset)])
         return pointer
 
     def load(self, pointer: Any) -> Any:
-        """Two vectors that lie behind each other in memory."""
+        """Load two consecutive vectors from memory."""
         vectors = self.builder.bitcast(pointer, _VECTOR.as_pointer())
         return [self.builder.load(self.at(vectors, i), align=4) for i in range(2)]
 
     def store(self, pair: Any, pointer: Any) -> None:
-        """Write two vectors behind each other."""
+        """Store two consecutive vectors to memory."""
         vectors = self.builder.bitcast(pointer, _VECTOR.as_pointer())
         for i, vector in enumerate(pair):
             self.builder.store(vector, self.at(vectors, i), align=4)
@@ -60,11 +60,11 @@ class _Code:
         return self.builder.shuffle_vector(one, _VECTOR(ir.Undefined), lanes)
 
     def variables(self, pair: Any) -> Any:
-        """Two variables, which LLVM will keep in registers."""
+        """Two variables, which LLVM keeps in registers."""
         return [cgutils.alloca_once_value(self.builder, vector) for vector in pair]
 
     def add_product(self, number: Any, pair: Any, to: Any) -> None:
-        """`to += number · pair`, in one rounding where the processor has an instruction for it."""
+        """`to += number · pair`, with one rounding if the processor has an instruction for it."""
         kind = ir.FunctionType(_VECTOR, [_VECTOR] * 3)
         multiply_add = cgutils.get_or_insert_function(self.builder.module, kind, f"llvm.fmuladd.v{LANES}f32")
         factor = self.spread(number)
@@ -135,15 +135,15 @@ def _add_columns(
 
 
 add_rows = cast("Callable[..., None]", intrinsic(prefer_literal=True)(_add_rows))
-"""In compiled code: a tile of `rows` places by `WIDTH` numbers.
+"""In compiled code: compute a tile of `rows` places by `WIDTH` numbers.
 
     to[to_at + to_places[place + i] + k] = activation(
         start[start_at + start_step · to_places[place + i] + k]
         + Σ_tap Σ_r x[x_at + x_places[place + i] + tap · x_step + r] · b[b_at + (tap · run + r) · b_step + k])
 
 Arguments: rows (a constant), x, x_at, x_places, place, taps, x_step, run, b, b_at, b_step, start, start_at, start_step,
-to, to_at, to_places, slope. A sum starts at a bias if `start_step` is 0, or at what is there already if it is 1. What
-is below zero is multiplied by the slope: 0 for a ReLU, 1 for no activation.
+to, to_at, to_places, slope. A sum starts at a bias if `start_step` is 0, or at the present value if it is 1. Numbers
+below zero are multiplied by the slope: 0 for a ReLU, 1 for no activation.
 """
 add_columns = cast("Callable[..., None]", intrinsic(prefer_literal=True)(_add_columns))
 """In compiled code: add to a tile of `rows` by `WIDTH` sums over places.

@@ -1,4 +1,4 @@
-"""What every world model is: something that learns from transitions, and says how surprising they were."""
+"""The base class of all world models, which learn from transitions and measure how surprising each one is."""
 
 from abc import ABC, abstractmethod
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from gym_open.agents.encoder import Encoder
 
 
 class TransitionBatch(NamedTuple):
-    """B steps: what was seen, what was done, what was seen then."""
+    """B transitions (o_t, a_t, o_t+1)."""
 
     obs: Tensor
     """(B, 84, 84, 3) uint8."""
@@ -23,15 +23,15 @@ class TransitionBatch(NamedTuple):
 
 
 class WorldModel(nn.Module, ABC):
-    """A loss to learn by, an error to be rewarded by, and a latent space to measure impact in.
+    """A loss for learning, an error that can be a reward, and a latent space in which impact is measured.
 
     Methods compute in the precision of the caller's autocast; losses and errors are fp32.
 
     Attributes:
-        encoder: from prepared pictures to features; the policy may hold the same one.
-        loss_scale: what the curriculum multiplies the loss of a world by, so that one threshold serves all models.
-        error_parts: names of what `errors` gives.
-        figures: names of what `measure` gives beside the loss.
+        encoder: from prepared images to features. The policy may share it.
+        loss_scale: the curriculum multiplies the loss of a world by it, so that one threshold serves all models.
+        error_parts: names of the summands that `errors` returns.
+        figures: names of the numbers that `measure` returns in addition to the loss.
     """
 
     error_parts: tuple[str, ...]
@@ -47,49 +47,49 @@ class WorldModel(nn.Module, ABC):
     def measure(
         self, transitions: TransitionBatch, shifts: Tensor, generator: torch.Generator, features: Tensor | None = None
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """What is minimised, a scalar, and scalars without gradient that tell how well it goes, named as in `figures`.
+        """The loss to minimise, a scalar, and diagnostic scalars without gradient, by the names in `figures`.
 
         Args:
-            transitions: B steps.
-            shifts: shift of each observation, (B, 2) int64, as `augment.draw_shifts` gives them.
+            transitions: B transitions.
+            shifts: shift of each observation, (B, 2) int64, from `augment.draw_shifts`.
             generator: source of further shifts.
-            features: what the encoder makes of the shifted `transitions.obs`, (B, features), if that is known already.
+            features: the encoder's features of the shifted `transitions.obs`, (B, features), if known.
         """
 
     def loss(
         self, transitions: TransitionBatch, shifts: Tensor, generator: torch.Generator, features: Tensor | None = None
     ) -> Tensor:
-        """What is minimised, of `measure`."""
+        """The loss of `measure` alone."""
         return self.measure(transitions, shifts, generator, features)[0]
 
     @abstractmethod
     def errors(self, transitions: TransitionBatch) -> dict[str, Tensor]:
-        """The model's own error in B steps as intrinsic reward: its summands by name, (B,) each, without gradient."""
+        """The model's own error in B transitions, as intrinsic reward: summands by name, (B,) each, no gradient."""
 
     @abstractmethod
     def latent(self, images: Tensor, features: Tensor | None = None) -> Tensor:
-        """Where pictures (B, 84, 84, 3) uint8 are in the model's latent space: (B, D) fp32, without gradient.
+        """Positions of images (B, 84, 84, 3) uint8 in the model's latent space: (B, D) fp32, without gradient.
 
         Args:
-            images: the pictures, unshifted.
-            features: what the encoder makes of them, (B, features), if that is known already.
+            images: the images, unshifted.
+            features: the encoder's features of them, (B, features), if they are known already.
         """
 
     @torch.no_grad()
     def world_loss(self, transitions: TransitionBatch, generator: torch.Generator) -> float:
-        """`loss` of B steps of one world, unshifted unless the loss itself is about shifts."""
+        """`loss` of B transitions of one world. Images are not shifted, unless the loss itself needs shifts."""
         return float(self.loss(transitions, no_shifts(len(transitions.obs)), generator))
 
     def watch(self, images: Tensor) -> None:
-        """Take (B, 84, 84, 3) uint8 newly seen pictures into running statistics, before they are rewarded."""
+        """Add new images (B, 84, 84, 3) uint8 to running statistics, before their rewards are computed."""
 
     def stepped(self) -> None:
-        """Called after each gradient step."""
+        """Update slow copies of networks. The learner calls this after each gradient step."""
 
     def unshifted(self, images: Tensor) -> Tensor:
-        """The encoder's features (B, features) of pictures (B, 84, 84, 3) uint8 as they are."""
+        """The encoder's features (B, features) of unshifted images (B, 84, 84, 3) uint8."""
         return self.features(images, no_shifts(len(images)))
 
     def features(self, images: Tensor, shifts: Tensor) -> Tensor:
-        """The encoder's features (B, features) of pictures (B, 84, 84, 3) uint8 moved by `shifts`, (B, 2) int64."""
+        """The encoder's features (B, features) of images (B, 84, 84, 3) uint8, moved by `shifts`, (B, 2) int64."""
         return self.encoder(self.encoder.prepare_shifted(images, shifts))

@@ -1,5 +1,5 @@
-"""What a run says before it starts: what it found on this machine, and how long it will take here.
+"""What `gym-open run` prints before it starts: what this machine has, and how long the run will take on it.
 
-`work.py` counts what the stages do, from their configurations alone; `speed.py` tries what one of each costs here;
-`outlook.py` says both.
+`work.py` counts the work of each stage from its configuration alone. `speed.py` measures what a unit of work costs
+here. `outlook.py` prints both.
 """

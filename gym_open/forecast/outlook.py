@@ -1,4 +1,4 @@
-"""The line that a run begins with, and a warning if the disk is too small."""
+"""The first line that a run prints, and a warning if the disk is too small."""
 
 import os
 import shutil
@@ -17,21 +17,21 @@ from gym_open.hardware import usable_cores
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlannedStage:
-    """A stage that is to come."""
+    """A stage that may have to run."""
 
     name: str
     folder: Path
-    """Of its artefact."""
+    """Folder of its artefact."""
     config: Config
     needs: tuple["PlannedStage", ...] = ()
-    """Stages whose artefacts it is made of."""
+    """Stages whose artefacts it reads."""
     work: Work
 
 
 def to_do(stages: Sequence[PlannedStage]) -> list[PlannedStage]:
-    """The stages whose artefacts are not there, or seem to be of other inputs.
+    """The stages whose artefacts are missing, or seem to be made from other inputs.
 
-    Only small records are read: whether an artefact is whole, the stage itself finds out.
+    This reads only small records. Each stage itself checks whether its artefact is whole.
     """
     left: list[PlannedStage] = []
     for stage in stages:
@@ -43,20 +43,20 @@ def to_do(stages: Sequence[PlannedStage]) -> list[PlannedStage]:
 def _seems_made(stage: PlannedStage) -> bool:
     try:
         made = artefacts.lineage(stage.folder)
-        config = msgspec.json.decode(msgspec.json.encode(stage.config))  # as it is on disk: lists, no tuples
+        config = msgspec.json.decode(msgspec.json.encode(stage.config))  # as on disk: lists instead of tuples
         return made.code == artefacts.code_version(made.kind) and artefacts.config_of(stage.folder) == config
     except ArtefactError:
         return False
 
 
 def found(stages: Sequence[PlannedStage], root: Path) -> str:
-    """What stages in the workspace `root` run on, as far as it decides how long they take."""
+    """The hardware that stages in the workspace `root` run on, as far as it affects how long they take."""
     with progress.doing("loading PyTorch"):
         import torch
 
         from gym_open.precision import resolve
 
-    ways = [how for stage in stages for how in stage.work.pictures if how.learn]
+    ways = [how for stage in stages for how in stage.work.images if how.learn]
     device = "no GPU in use"
     if any(how.device == "cuda" for how in ways):
         device = torch.cuda.get_device_name() if torch.cuda.is_available() else "no GPU found"
@@ -68,7 +68,7 @@ def found(stages: Sequence[PlannedStage], root: Path) -> str:
 
 
 def expected(left: Sequence[PlannedStage]) -> str:
-    """How long these stages will take here, in words; measured in about two seconds."""
+    """How long these stages will take here, in words. The measurement takes about two seconds."""
     works = [stage.work for stage in left]
     with progress.doing("getting ready", progress.COMPILES):
         from gym_open.forecast import speed
@@ -79,7 +79,7 @@ def expected(left: Sequence[PlannedStage]) -> str:
 
 
 def too_full(root: Path, needed: int) -> str:
-    """A warning if fewer than `needed` bytes are free for the workspace `root`, else nothing."""
+    """A warning if fewer than `needed` bytes are free for the workspace `root`, else an empty text."""
     free = shutil.disk_usage(root).free
     if free >= needed:
         return ""

@@ -1,4 +1,4 @@
-"""What this machine does in a second: steps of a world, and pictures through a network, each tried for a moment."""
+"""Short measurements of this machine: seconds per step of a world, and per image through a network."""
 
 import statistics
 import time
@@ -17,39 +17,39 @@ from gym_open.forecast.work import Passes, Work
 from gym_open.precision import resolve
 
 ENOUGH = 0.15
-"""Seconds that one thing is tried for, if it is not done sooner."""
+"""Seconds that one measurement lasts, if it is not finished sooner."""
 LONG = 1.0
-"""Seconds after which it is not tried again."""
+"""Seconds after which a measurement is not repeated."""
 SHARE = 50
-"""Nothing is tried for longer than this part of all that is to be done."""
+"""No measurement processes more than this fraction (1/50) of the work that it is for."""
 
 
 def seconds(works: list[Work]) -> float:
-    """About how long some stages take here, one after another, measured on what they ask for most."""
+    """Approximate run time of some stages here, one after another, from measurements of their main kinds of work."""
     total: dict[Passes, float] = {}
     for work in works:
-        for how, count in work.pictures.items():
+        for how, count in work.images.items():
             total[settled(how)] = total.get(settled(how), 0.0) + count
-    costs = {how: cost_of_picture(how, count / SHARE) for how, count in total.items()}
+    costs = {how: cost_of_image(how, count / SHARE) for how, count in total.items()}
     step = cost_of_step(sum(work.steps for work in works) / SHARE)
     return sum(work.seconds(step, lambda how: costs[settled(how)]) for work in works)
 
 
 def get_ready(works: list[Work]) -> None:
-    """Let everything that is measured happen once: what is compiled on its first use takes up to a minute then."""
+    """Do everything once that is measured later: compiling takes up to a minute at the first use."""
     cost_of_step(1)
-    ways = {settled(how) for work in works for how in work.pictures}
+    ways = {settled(how) for work in works for how in work.images}
     for how in {msgspec.structs.replace(how, batch=4, threads=1) for how in ways}:
-        cost_of_picture(how, 1)
+        cost_of_image(how, 1)
 
 
 def settled(how: Passes) -> Passes:
-    """The same with the precision that `auto` means here."""
+    """The same passes with the precision that `auto` means here."""
     return msgspec.structs.replace(how, precision=resolve(how.precision, how.device))
 
 
 def cost_of_step(most: float = 1000) -> float:
-    """Seconds that a step of a world takes, its picture included; `most` steps are enough to tell."""
+    """Seconds per step of a world, including its image. At most about `most` steps are measured."""
     env = OpenEnv("goal-seeking")
     env.reset(seed=0)
 
@@ -61,15 +61,15 @@ def cost_of_step(most: float = 1000) -> float:
     return usual_time(step, most)
 
 
-def cost_of_picture(how: Passes, most: float = 1000) -> float:
-    """Seconds that a picture takes to pass through a network; `most` pictures are enough to tell."""
-    # Layers draw weights from PyTorch's own generator before they are given theirs.
+def cost_of_image(how: Passes, most: float = 1000) -> float:
+    """Seconds per image that passes through a network. At most about `most` images are measured."""
+    # Layers draw weights from PyTorch's global generator before they get their own weights.
     with threads(how.threads), torch.random.fork_rng(devices=[]):
         return usual_time(_pass(how), most / how.batch) / how.batch
 
 
 def _pass(how: Passes) -> Callable[[], float]:
-    """Something that lets one batch pass."""
+    """A function that passes one batch through the network."""
     generator = torch.Generator().manual_seed(0)
     agent = ActorCritic(Encoder(how.network, generator), N_ACTIONS, generator).to(how.device)
     optimizer = torch.optim.Adam(agent.parameters(), lr=1e-4, fused=True)
@@ -78,7 +78,7 @@ def _pass(how: Passes) -> Callable[[], float]:
 
     def look() -> float:
         with torch.no_grad(), autocast(how.precision, how.device):
-            return float(agent(agent.encoder.prepare(images))[1].sum())  # a number here: a GPU is waited for
+            return float(agent(agent.encoder.prepare(images))[1].sum())  # a Python number: this waits for a GPU
 
     def learn() -> float:
         with autocast(how.precision, how.device):
@@ -92,10 +92,10 @@ def _pass(how: Passes) -> Callable[[], float]:
 
 
 def usual_time(once: Callable[[], object], most: float, *, clock: Callable[[], float] = time.perf_counter) -> float:
-    """Seconds that `once` takes, the median of several times after a first that does not count.
+    """Median seconds of several calls of `once`, after a first call that does not count.
 
-    It is tried for `ENOUGH` seconds and, if that takes no longer than `LONG`, three times at least, or `most` times. Of
-    three, one may be held up by other processes.
+    The measurement lasts `ENOUGH` seconds. It has at least three calls, unless these take longer than `LONG`, and at
+    most `most` calls. One of three calls may be delayed by other processes.
     """
     once()
     times: list[float] = []

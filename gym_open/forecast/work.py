@@ -1,8 +1,8 @@
-"""How long a stage takes on this machine, and how much it writes: from its configuration and a short measurement.
+"""Estimates how long a stage takes on this machine, and how much it writes.
 
-A stage is two things to a processor: steps of a world, and pictures that pass through a network. `Work` counts both,
-and follows from the configuration alone. What one of each costs here is measured in about two seconds (`Measured`).
-The sum is good to a third or so: enough to choose between waiting and having lunch.
+The work of a stage consists of steps of a world, and images that pass through a network. `Work` counts both from the
+configuration alone. `speed.py` measures in about two seconds what each costs here. The estimate is off by about a
+third: good enough to choose between waiting and having lunch.
 """
 
 import math
@@ -18,51 +18,51 @@ from gym_open.precision import PrecisionSetting
 from gym_open.train.config import EncoderTrainConfig, PolicyTrainConfig, ProbeConfig
 
 PUZZLES = 100
-"""In each fixed set."""
+"""Puzzles in each fixed set."""
 LARGE = 128
-"""Pictures in a batch above which one picture costs no less: larger batches are taken for this one."""
+"""Batch size above which an image does not get cheaper. Larger batches count as batches of this size."""
 
 _RESET = 6.0
-"""What laying out a puzzle costs, in steps."""
+"""Cost of laying out a puzzle, in steps."""
 _LOGGED, _RELEASED, _DECODED, _DRAWN = 2.0, 4.0, 1.0, 4.0
-"""What else happens to a step, in steps: it is logged, put into a release, read from it, put into a recording."""
-_BESIDES = 1.0
+"""Cost per step, in steps, of logging it, writing it to a release, reading it from there, and recording it."""
+_OVERHEAD = 1.0
 """Seconds that every stage takes for imports, checks and figures."""
 _HELD_OUT_BATCHES = 4
 _WARM_UP = 8
-"""Moves before a probe's first picture in each world."""
+"""Moves before a probe's first image in each world."""
 _PASS_FLOPS = 17e6
-"""Of one picture forward through the paper's network, as a measure of work that is no network's."""
+"""Floating-point operations of one image forward through the paper's network. It converts other work to images."""
 _FIT_FLOPS = 15e9
-"""Of a linear map from 512 features, as if it were as fast as a network."""
+"""Floating-point operations of fitting a linear map from 512 features, at the speed of a network."""
 _PIXELS = 84 * 84 * 3
 _MOVES = 8
 
 
 class Passes(msgspec.Struct, frozen=True):
-    """How pictures pass through a network."""
+    """How images pass through a network."""
 
     network: EncoderConfig
     precision: PrecisionSetting
     device: Device
     threads: int
     batch: int
-    """Pictures at a time."""
+    """Images at a time."""
     learn: bool
-    """Forward and backward, or only forward."""
+    """Whether they pass forward and backward, or only forward."""
 
 
 class Work(msgspec.Struct, frozen=True):
-    """What a stage asks of a machine."""
+    """The work of a stage."""
 
     steps: float = 0.0
-    """Steps of a world, each with its picture."""
-    pictures: dict[Passes, float] = {}
-    """Pictures that pass through networks, by the way they pass."""
+    """Steps of a world, each with its image."""
+    images: dict[Passes, float] = {}
+    """Number of images that pass through networks, for each way to pass."""
 
-    def seconds(self, step: float, picture: Callable[[Passes], float]) -> float:
-        """Seconds that it takes if a step takes `step` seconds, and a picture what the function says."""
-        return _BESIDES + self.steps * step + sum(count * picture(how) for how, count in self.pictures.items())
+    def seconds(self, step: float, image: Callable[[Passes], float]) -> float:
+        """Run time in seconds, given the seconds per `step` and a function for the seconds per image."""
+        return _OVERHEAD + self.steps * step + sum(count * image(how) for how, count in self.images.items())
 
 
 def _way(
@@ -73,7 +73,7 @@ def _way(
 
 
 def collecting(config: CollectConfig) -> Work:
-    """Of exploration: playing, rewarding, learning, and the loss of the world that is played in."""
+    """Work of exploration: acting, rewards, learning, and the loss of each current world."""
     explorer, ppo, n = config.explorer, config.explorer.ppo, float(config.steps)
     model, acts = explorer.world_model, explorer.reward != "none"
     kind = ImagePasses(0, 0, 0) if model == "none" else explorer.section(model).passes
@@ -96,17 +96,17 @@ def collecting(config: CollectConfig) -> Work:
 
 
 def releasing(config: CollectConfig) -> Work:
-    """Of a release of the steps that were played."""
+    """Work of building a release of an exploration run."""
     return Work(config.steps * _RELEASED)
 
 
 def drawing(config: CollectConfig) -> Work:
-    """Of a recording of them."""
+    """Work of recording an exploration run for Rerun."""
     return Work(config.steps * _DRAWN)
 
 
 def encoding(config: EncoderTrainConfig, frames: int) -> Work:
-    """Of an encoder from a release of so many frames: decoding them once, updates, and what is held out."""
+    """Work of training an encoder from a release of `frames` frames: decoding, updates, and held-out batches."""
     kind = config.section(config.world_model).passes
     seen = float(config.updates * config.batch_size)
     held_out = math.ceil(config.updates / config.report_every) * _HELD_OUT_BATCHES * config.batch_size * kind.judged
@@ -123,9 +123,9 @@ def encoding(config: EncoderTrainConfig, frames: int) -> Work:
 
 
 def probing(config: ProbeConfig, network: EncoderConfig) -> Work:
-    """Of a probe: play in fresh worlds, features of what was seen, and the linear maps, of pixels above all."""
+    """Work of a probe: steps in fresh worlds, features of the images, and fits of linear maps (mostly of pixels)."""
     worlds = config.train_worlds + config.validation_worlds + config.test_worlds
-    one_move = config.train_worlds * config.moves / _MOVES  # of pixels, products of pictures are what takes long
+    one_move = config.train_worlds * config.moves / _MOVES  # of pixels, products of images take most of the time
     flops = 2 * _PIXELS * (2 * config.train_worlds**2 + _MOVES * one_move**2) if config.pixels else 0.0
     flops += (2 + _MOVES) * (1 + config.untrained) * _FIT_FLOPS * (network.features / 512) ** 3
     fp32 = _way(network, "fp32", config.threads, LARGE)
@@ -138,7 +138,7 @@ def probing(config: ProbeConfig, network: EncoderConfig) -> Work:
 
 
 def learning(config: PolicyTrainConfig, *, encoder: bool) -> Work:
-    """Of PPO on a task, from an `encoder` or from scratch."""
+    """Work of PPO on a task, from an `encoder` or from scratch."""
     rollout = config.num_envs * config.num_steps
     n = float(math.ceil(config.steps / rollout) * rollout)
     ppo, first = config.ppo, float(config.mean_images)
@@ -157,19 +157,19 @@ def learning(config: PolicyTrainConfig, *, encoder: bool) -> Work:
 
 
 def playing(config: EvaluateConfig, network: EncoderConfig | None) -> Work:
-    """Of scoring on the fixed puzzles: a policy with this network, or random play."""
+    """Work of scoring on the fixed puzzles: a policy with this network, or random actions."""
     n = float(PUZZLES * step_budget(config.task))
-    pictures = {} if network is None else _sum((_way(network, "fp32", config.threads, PUZZLES), n))
-    return Work(n + PUZZLES * _RESET, pictures)
+    images = {} if network is None else _sum((_way(network, "fp32", config.threads, PUZZLES), n))
+    return Work(n + PUZZLES * _RESET, images)
 
 
 def bytes_written(config: CollectConfig) -> int:
-    """What a whole run writes, and keeps for a while: a step in log, release and recording, and a dozen networks."""
+    """Approximate disk space of a whole run: its steps in log, release and recording, and a dozen networks."""
     return config.steps * (3_000 + 20_000 * (config.log.depth + config.log.segmentation)) + 100_000_000
 
 
 def about(seconds: float) -> str:
-    """An expected time in words, as coarse as it is uncertain: about 4 min."""
+    """An expected time in words, rounded to its accuracy: about 4 min."""
     minutes = seconds / 60
     if minutes < 0.75:
         return "less than a minute"

@@ -1,4 +1,4 @@
-"""A job as a process of its own, which ends when the runner ends."""
+"""A job as a process of its own, which ends when the runner ends, and what is known of a job."""
 
 import itertools
 import os
@@ -19,7 +19,7 @@ from gym_open.progress import FILE, Progressed
 
 PROGRAM = (sys.executable, "-m", "gym_open.cli")
 _TAIL = 10_000
-"""Bytes at the end of a log in which the reason of a failure is looked for."""
+"""Bytes at the end of a log in which `Child.reason` searches for the reason of a failure."""
 
 
 JobState = Literal["waiting", "running", "made", "up to date", "failed", "held up"]
@@ -27,29 +27,29 @@ JobState = Literal["waiting", "running", "made", "up to date", "failed", "held u
 
 @dataclass
 class JobStatus:
-    """What has come of a job so far."""
+    """The state of a job."""
 
     job: GridJob
     state: JobState = "waiting"
     seconds: float = 0.0
-    """That it took, or has taken so far."""
+    """Run time so far, or in all."""
     progress: Progressed | None = None
     reason: str = ""
     """Why it failed."""
 
     @property
     def done(self) -> bool:
-        """Whether its artefact is there."""
+        """Whether its artefact exists."""
         return self.state in ("made", "up to date")
 
     @property
     def ended(self) -> bool:
-        """Whether nothing more will come of it."""
+        """Whether its state is final."""
         return self.done or self.state in ("failed", "held up")
 
 
 class Child:
-    """The process of one job. What it prints is added to `NAME.log`, how far it is stands in `NAME.progress`."""
+    """The process of one job. Its output is appended to `NAME.log`, and `NAME.progress` holds its progress."""
 
     def __init__(self, job: GridJob, folder: Path) -> None:
         self.job, self.log = job, folder / f"{job.name}.log"
@@ -72,31 +72,31 @@ class Child:
 
     @property
     def seconds(self) -> float:
-        """Since it was started."""
+        """Seconds since it was started."""
         return time.monotonic() - self._started
 
     def progress(self) -> Progressed | None:
-        """How far it is, if it has said so."""
+        """Its progress, if it has written any."""
         return Progressed.read(self._progress)
 
     def poll(self) -> int | None:
-        """Its exit code, or None while it runs."""
+        """Its exit code. None while it runs."""
         code = self._process.poll()
         if code is not None:
             self._progress.unlink(missing_ok=True)
         return code
 
     def has_made(self) -> bool:
-        """Whether the artefact is another than when it was started."""
+        """Whether the artefact has changed since the process was started."""
         return _sealed(self.job) != self._sealed_before
 
     def end(self, sign: signal.Signals) -> None:
-        """Tell it to end, with all that it may have started, if it has not ended."""
+        """Send a signal to the process and to all processes that it started, unless it has ended."""
         if self.poll() is None:
             os.killpg(self._process.pid, sign)
 
     def reason(self) -> str:
-        """Why it failed: the last error that it told, else the last thing that it said, or the signal that ended it."""
+        """Why it failed: its last error message, else its last output, or the signal that ended it."""
         code = self._process.returncode
         if code < 0:
             return f"ended by {signal.Signals(-code).name}"
@@ -104,13 +104,13 @@ class Child:
             file.seek(max(self.log.stat().st_size - _TAIL, 0))
             lines = file.read().decode(errors="replace").splitlines()
         lines = lines[max((i for i, line in enumerate(lines) if line.startswith("$ ")), default=0) :]  # of this attempt
-        told = [line.strip("│ ") for line in lines if re.search(r"\w", line)]
-        errors = [line.removeprefix("error: ") for line in told if line.startswith("error: ")]
-        return (errors or _boxed(lines) or told)[-1]  # the command itself is always there
+        printed = [line.strip("│ ") for line in lines if re.search(r"\w", line)]
+        errors = [line.removeprefix("error: ") for line in printed if line.startswith("error: ")]
+        return (errors or _boxed(lines) or printed)[-1]  # at least the command itself
 
 
 def _boxed(lines: list[str]) -> list[str]:
-    """What was wrong with a command's options: tyro draws a box, with advice under a rule."""
+    """What was wrong with the options of a command. tyro prints it in a box, above a line and some advice."""
     top = max((i for i, line in enumerate(lines) if line.startswith("╭")), default=len(lines))
     inside = [line.strip("│ ") for line in lines[top + 1 :]]
     first = list(itertools.takewhile(lambda line: re.search(r"\w", line), inside))
@@ -118,12 +118,12 @@ def _boxed(lines: list[str]) -> list[str]:
 
 
 def alone(job: GridJob, folder: Path) -> str:
-    """The command that runs a job by itself, as a person would type it."""
+    """The command that runs this job alone, as a user would type it."""
     return f"OMP_NUM_THREADS=1 gym-open {shlex.join(job.words(folder))}"
 
 
 def _sealed(job: GridJob) -> int | None:
-    """When the job's artefact was sealed, in nanoseconds, or None if there is none."""
+    """When the job's artefact was sealed, in nanoseconds. None if there is no artefact."""
     try:
         return (job.out / artefacts.MANIFEST).stat().st_mtime_ns
     except OSError:

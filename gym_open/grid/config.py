@@ -1,4 +1,4 @@
-"""Configuration of `gym-open benchmark`: which agents learn which tasks with which seeds, and for how long."""
+"""Configuration of `gym-open benchmark`: agents, tasks, seeds, and numbers of steps."""
 
 from typing import Annotated, Literal
 
@@ -13,71 +13,72 @@ File = Annotated[str, Meta(min_length=1)]
 
 
 class AgentConfig(Config, frozen=True, kw_only=True):
-    """One agent: how it plays before there is a task, what it keeps of that, and how it learns a task."""
+    """One agent: how it explores without a task, what it keeps of that, and how it learns a task."""
 
     name: AgentName
-    """Its row in tables and its part of folders' names."""
+    """Name of its row in tables, and part of folder names."""
     policy: File
-    """Configuration of `train policy`; task, seed and what else is given here replace its own."""
+    """Configuration of `train policy`. Task, seed and other values of the grid replace those in the file."""
     collect: File | None = None
-    """Configuration of its play; without one it learns each task from scratch."""
+    """Configuration of its exploration. Without it, the agent learns each task from scratch."""
     collect_steps: PositiveInt | None = None
-    """Steps of its play, if not the benchmark's."""
+    """Steps of its exploration, in place of the grid's `collect_steps`."""
     online: bool = False
-    """Start from the encoder that the explorer itself ended with, as the paper does."""
+    """Start from the explorer's own encoder at the end of exploration, as in the paper."""
     encoder: File | None = None
-    """Configuration of an encoder that is trained from the play's release, to start from that."""
+    """Configuration of `train encoder`: start from an encoder that is trained from the release of the exploration."""
     release: File = "datasets/explore.toml"
-    """Configuration of that release."""
+    """Configuration of that release (`dataset build`)."""
     frozen: bool = False
-    """Keep the encoder as it is while the task is learned."""
+    """Do not train the encoder while the task is learned."""
     play_seed: Seed | None = None
-    """Seed of one play, and of one encoder, for all runs; if not given, each run has its own, as in the paper."""
+    """Seed of one exploration run and one encoder, which all runs share. Without it, each run has its own, as in the
+    paper."""
 
     def __post_init__(self) -> None:
         starts = self.online or self.encoder is not None
         if self.online and self.encoder is not None:
             raise ValueError(
-                f"agent {self.name!r}: both `online` and `encoder`, but a policy starts from one encoder; leave one "
-                "out, or make two agents of it"
+                f"agent {self.name!r}: both `online` and `encoder` are given, but a policy starts from one encoder; "
+                "leave one out, or make two agents of it"
             )
         if starts and self.collect is None:
-            raise ValueError(f"agent {self.name!r}: an encoder needs play to learn from; give `collect`")
+            raise ValueError(f"agent {self.name!r}: an encoder needs exploration to learn from; give `collect`")
         if self.collect is not None and not starts:
-            raise ValueError(f"agent {self.name!r}: nothing is made of its play; give `online = true` or `encoder`")
+            raise ValueError(f"agent {self.name!r}: its exploration is not used; give `online = true` or `encoder`")
         for field in ("collect_steps", "play_seed"):
             if getattr(self, field) is not None and self.collect is None:
-                raise ValueError(f"agent {self.name!r}: `{field}` without play; give `collect`, or leave it out")
+                raise ValueError(f"agent {self.name!r}: `{field}` without exploration; give `collect`, or leave it out")
         if self.frozen and not starts:
-            raise ValueError(f"agent {self.name!r}: `frozen` without an encoder that play has made; leave it out")
+            raise ValueError(f"agent {self.name!r}: `frozen` without an encoder from exploration; leave it out")
 
 
 class GridConfig(Config, frozen=True, kw_only=True):
-    """A grid of agents × tasks × seeds. Files are those of the workspace; what is given here replaces what they say."""
+    """A grid of agents × tasks × seeds. Files are those of the workspace; values given here replace values in them."""
 
     tasks: Annotated[tuple[TaskName, ...], Meta(min_length=1)]
     """Tasks that every agent learns."""
     seeds: Annotated[tuple[Seed, ...], Meta(min_length=1)]
-    """Root seeds: a run each of every agent on every task."""
+    """Root seeds. Each agent has one run per task and seed."""
     agents: Annotated[tuple[AgentConfig, ...], Meta(min_length=1)]
     """Rows of the table."""
     collect_steps: PositiveInt | None = None
-    """Steps of every play."""
+    """Steps of every exploration run."""
     collect_pool: PositiveInt | None = None
-    """Worlds of every play: a longer one needs more, or it ends when all are learned."""
+    """Worlds in the pool of every exploration run. A longer run needs more worlds, or it ends when all are learned."""
     encoder_updates: PositiveInt | None = None
     """Gradient steps of every encoder that is trained from a release."""
     policy_steps: PositiveInt | None = None
     """Steps of every policy."""
     checkpoints: tuple[PositiveInt, ...] | None = None
-    """Steps at which a policy is scored, besides its end."""
+    """Steps at which a policy is scored, in addition to its end."""
     probe: File | None = None
-    """Configuration of `train probe`, for every encoder; without one, none is probed."""
+    """Configuration of `train probe` for every encoder. Without it, no encoder is probed."""
     evaluate: File = "evaluate/goal-seeking.toml"
-    """Configuration of the scoring; the task is replaced."""
+    """Configuration of `evaluate`. The grid replaces its task."""
 
     def __post_init__(self) -> None:
         lists = {"tasks": self.tasks, "seeds": self.seeds, "agents": [agent.name for agent in self.agents]}
         for field, values in lists.items():
             if twice := [value for i, value in enumerate(values) if value in values[:i]]:
-                raise ValueError(f"`{field}`: {twice[0]!r} is there twice; leave one out or rename it")
+                raise ValueError(f"`{field}`: {twice[0]!r} is given twice; leave one out or rename it")

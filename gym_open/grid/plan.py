@@ -1,7 +1,7 @@
-"""A benchmark's configuration becomes jobs: one command of `gym-open` each, and which other jobs it needs.
+"""Turns the configuration of a grid into jobs: each is one `gym-open` command with the jobs that it needs.
 
-What two agents share (a play, a release, an encoder) is one job. Nothing is started here, but everything is read and
-checked, so that what is wrong shows before hours of work and not after.
+An exploration run, a release or an encoder that several agents share is one job. Nothing is started here, but all
+configurations are read and checked, so that mistakes show before hours of work and not after.
 """
 
 import re
@@ -30,14 +30,14 @@ SPEEDS: dict[StageName, float] = {
     "collect": 250, "dataset build": 500, "train encoder": 12, "train probe": 0.025, "train policy": 500,
     "evaluate": 15,
 }  # fmt: skip
-"""Units of a job (steps, steps, updates, probes, steps, puzzles) that one core does in a second, roughly."""
+"""Approximate speed of one core, in units of the stage per second: steps, steps, updates, probes, steps, puzzles."""
 KINDS: dict[StageName, str] = {
     "collect": "log", "dataset build": "release", "train encoder": "encoder", "train probe": "probe",
     "train policy": "policy", "evaluate": "scores",
 }  # fmt: skip
-"""Kind of the artefact that a stage makes."""
+"""Kind of the artefact that each stage makes."""
 START = 6.0
-"""Seconds until a job has imported what it needs, roughly."""
+"""Approximate seconds that a job needs for its imports."""
 _PUZZLES = 100
 
 
@@ -46,49 +46,49 @@ class GridJob:
     """One command that makes one artefact."""
 
     name: str
-    """Of the job, and of its files."""
+    """Name of the job and of its files."""
     stage: StageName
     """Sub-command of `gym-open`."""
     out: Path
     """Folder of the artefact."""
     config: Config
-    """All of its configuration."""
+    """Its whole configuration."""
     units: int
-    """How much there is to do, in units of its stage."""
+    """Amount of work, in units of its stage."""
     options: tuple[str, ...] = ()
-    """What the command is given besides its configuration and `out`."""
+    """Options of the command in addition to its configuration and `out`."""
     needs: tuple["GridJob", ...] = ()
     """Jobs whose artefacts it reads."""
     key: Config | None = None
-    """Configuration that the artefact records, if that is not `config`."""
+    """Configuration that the artefact records, if it differs from `config`."""
 
     def is_up_to_date(self) -> bool:
-        """Whether the command would find nothing to do; no, if unsure. To ask is cheaper than to start it."""
+        """Whether the command would have nothing to do. False in case of doubt. This is cheaper than starting it."""
         parents = [need.out for need in self.needs]
         return artefacts.is_up_to_date(
             self.out, kind=KINDS[self.stage], config=self.key or self.config, parents=parents
         )
 
     def words(self, folder: Path) -> list[str]:
-        """The command, after `gym-open`, where the job's configuration lies in `folder`."""
+        """Words of the command after `gym-open`; `folder` holds the job's configuration."""
         file = folder / f"{self.name}.toml"
         return [*self.stage.split(), "--config", str(file), *self.options, "--out", str(self.out)]
 
     def toml(self) -> str:
-        """The configuration as TOML, which has no word for nothing: what is None is left out, as its default is."""
+        """The configuration as TOML. TOML has no null, so values that are None are left out; None is their default."""
         return to_toml(to_dict(self.config))
 
 
 def make_plan(config: GridConfig, out: Path, *, root: Path) -> list[GridJob]:
-    """All jobs of a benchmark, each after those it needs.
+    """All jobs of a grid, each after the jobs that it needs.
 
     Args:
-        config: what is to be compared.
-        out: folder of the benchmark; the jobs' artefacts lie in it as in a workspace.
+        config: agents, tasks and seeds.
+        out: folder of the grid; the jobs' artefacts lie in it as in a workspace.
         root: workspace that the configuration files belong to.
 
     Raises:
-        ConfigError: if a file is missing or wrong, or two different jobs would have one name.
+        ConfigError: if a file is missing or wrong, or two different jobs would have the same name.
     """
     planner = _Planner(config, out, root)
     for seed in config.seeds:
@@ -101,7 +101,7 @@ def make_plan(config: GridConfig, out: Path, *, root: Path) -> list[GridJob]:
 
 
 class _Planner:
-    """Collects the jobs, each once."""
+    """Collects the jobs, each of them once."""
 
     def __init__(self, config: GridConfig, out: Path, root: Path) -> None:
         self.config, self.out, self.root = config, out.absolute(), root  # as an option, a path must not begin with -
@@ -109,7 +109,7 @@ class _Planner:
         self.evaluation = self.read("evaluate", config.evaluate, EvaluateConfig, threads=1)
 
     def read(self, field: str, file: str, kind: type[C], **changes: Any) -> C:
-        """A configuration of the workspace with some of its values replaced."""
+        """Read a configuration of the workspace and replace some of its values."""
         path = self.root / file
         if not path.is_file():
             raise ConfigError(f"`{field}`: {path}: no such configuration file; give one of the workspace {self.root}")
@@ -117,17 +117,17 @@ class _Planner:
         return check(msgspec.structs.replace(load(path, kind), **changed), source=f"{path} as `{field}`")
 
     def add(self, job: GridJob) -> GridJob:
-        """The job, or the same one if it is there already."""
+        """Add a job, unless the same job is there already, and return it."""
         there = self.jobs.setdefault(job.name, job)
         if there != job:
             raise ConfigError(
-                f"two different jobs would be called {job.name!r}: agents that share the name of a file, but not what "
-                "it says; give the files (or agents) other names"
+                f"two different jobs would be called {job.name!r}: agents use files of the same name with "
+                "different contents; give the files (or agents) other names"
             )
         return there
 
     def play(self, agent: AgentConfig, seed: int) -> GridJob:
-        """Exploration, without a task."""
+        """Add an exploration run."""
         assert agent.collect is not None
         steps = agent.collect_steps or self.config.collect_steps
         pool = self.config.collect_pool
@@ -137,7 +137,10 @@ class _Planner:
         return self.add(GridJob(f"collect-{name}", "collect", out, config, config.steps))
 
     def encoder(self, agent: AgentConfig, seed: int) -> GridJob | None:
-        """What makes the encoder that the agent starts from: nothing, its play, or training from its play's release."""
+        """Add the job that makes the agent's encoder: its exploration run, or training from the release of that run.
+
+        None for an agent that learns from scratch.
+        """
         if agent.collect is None:
             return None
         seed = seed if agent.play_seed is None else agent.play_seed
@@ -151,7 +154,7 @@ class _Planner:
         return made
 
     def offline_encoder(self, agent: AgentConfig, file: str, play: GridJob, seed: int) -> GridJob:
-        """Play to a release, the release to an encoder."""
+        """Add the release of an exploration run, and the encoder that is trained from it."""
         name = re.sub(r"[^a-z0-9-]", "-", play.out.name.lower())
         release = self.read("release", agent.release, ReleaseConfig, name=f"open/{name}", version="1.0.0")
         folder = self.out / "datasets" / release.name / release.version
@@ -165,7 +168,7 @@ class _Planner:
         return self.add(GridJob(name, "train encoder", out, config, config.updates, options, (built,)))
 
     def run(self, agent: AgentConfig, task: TaskName, seed: int) -> None:
-        """One agent learns one task with one seed, and is scored at every checkpoint."""
+        """Add one agent's training on one task with one seed, and its scores at every checkpoint."""
         made = self.encoder(agent, seed)
         config = self.read(
             "policy", agent.policy, PolicyTrainConfig,
@@ -187,7 +190,7 @@ class _Planner:
             self.score(f"{name}-at{at}", task, (*options, "--at", str(at)), policy, key=key)
 
     def references(self, task: TaskName) -> None:
-        """What every agent's scores stand between: random actions and the planner's."""
+        """Add the lower and the upper reference for all scores: random actions, and the planner's actions."""
         split = self.evaluation.split
         witnesses = published_digests()[witness_name(task, split)]
         self.score(f"random-{task}", task, ())
@@ -196,9 +199,9 @@ class _Planner:
     def score(
         self, name: str, task: TaskName, options: Sequence[str], *needs: GridJob, key: Config | None = None
     ) -> None:
-        """One evaluation."""
+        """Add one evaluation."""
         changed = msgspec.structs.replace(self.evaluation, task=task)
-        if not needs:  # without a policy no action is the likeliest
+        if not needs:  # without a policy there are no greedy actions
             changed = msgspec.structs.replace(changed, actions="sampled")
         config = check(changed, source="tasks")
         out = self.out / "evaluate/scores" / name
@@ -206,12 +209,12 @@ class _Planner:
 
 
 def _check_network(agent: AgentConfig, policy: PolicyTrainConfig, made: GridJob | None) -> None:
-    """Raises ConfigError if the policy could not start from the encoder that `made` will make."""
+    """Raise ConfigError if the policy cannot start from the encoder that the job `made` makes."""
     match made.config if made else None:
         case CollectConfig(explorer=explorer):
             if explorer.world_model == "none":
                 raise ConfigError(
-                    f"agent {agent.name!r}: {agent.collect} has no world model, so its play ends without an encoder; "
+                    f"agent {agent.name!r}: {agent.collect} has no world model, so its exploration yields no encoder; "
                     "give `encoder` in place of `online`"
                 )
             network, file = explorer.encoder, agent.collect
@@ -228,7 +231,7 @@ def _check_network(agent: AgentConfig, policy: PolicyTrainConfig, made: GridJob 
 
 
 def before_the_end(config: PolicyTrainConfig) -> Iterator[int]:
-    """Checkpoints asked for whose weights are others than those at the end, and than one another's."""
+    """Steps of the configured checkpoints whose weights differ from each other and from the weights at the end."""
     rollout = config.num_envs * config.num_steps
     seen = {-(-config.steps // rollout)}
     for at in sorted(config.checkpoints):
@@ -239,16 +242,16 @@ def before_the_end(config: PolicyTrainConfig) -> Iterator[int]:
 
 
 def seconds(job: GridJob, speeds: dict[StageName, float]) -> float:
-    """How long a job takes, roughly."""
+    """Approximate run time of a job."""
     return START + job.units / speeds[job.stage]
 
 
 def chains(jobs: Sequence[GridJob], left: dict[str, float]) -> dict[str, float]:
-    """Seconds from the start of each job to the end of the longest chain that it is the first of.
+    """Seconds from the start of each job to the end of the longest dependency chain that begins with it.
 
     Args:
-        jobs: each after those it needs.
-        left: seconds that each job still takes, by name.
+        jobs: each after the jobs that it needs.
+        left: remaining seconds of each job, by name.
     """
     longest = dict.fromkeys((job.name for job in jobs), 0.0)
     for job in reversed(jobs):

@@ -1,7 +1,7 @@
-"""Runs a benchmark's jobs side by side, each a process of its own, and remembers nothing between two runs.
+"""Runs the jobs of a grid in parallel, each in a process of its own. It keeps no state between two runs.
 
-What is up to date is read from the artefacts, and where a killed job goes on, its command knows. So the runner only
-decides what may start, watches, ends its children when it ends, and tells.
+The artefacts show which jobs are up to date, and each command resumes its own killed job. The runner only decides which
+jobs may start, watches them, ends them when it ends itself, and reports.
 """
 
 import os
@@ -23,24 +23,24 @@ from gym_open.processes import interruptible
 from gym_open.terminal import markup
 
 _LOOK = 0.25
-"""Seconds between two looks at the children."""
+"""Seconds between two checks of the child processes."""
 _GRACE = 10.0
-"""Seconds that a child has to end when it is told to."""
+"""Seconds that a child process has to end after SIGTERM."""
 
 
 class Runner:
-    """The jobs, their states, and at most `width` of them at work."""
+    """Runs at most `width` of the jobs at a time, and holds the state of each."""
 
     def __init__(self, jobs: Sequence[GridJob], folder: Path, width: int) -> None:
         self.folder, self.width = folder, width
         self.statuses = {job.name: JobStatus(job) for job in jobs}
         self._jobs = jobs
         self._children: dict[str, Child] = {}
-        self._speeds: dict[StageName, float] = dict(SPEEDS)  # as last seen
+        self._speeds: dict[StageName, float] = dict(SPEEDS)  # latest measurement per stage
         self._chains = chains(jobs, {job.name: seconds(job, SPEEDS) for job in jobs})
 
     def run(self, screen: Screen) -> None:
-        """Run all jobs; when this returns or raises, no child is left."""
+        """Run all jobs. When this returns or raises, no child process is left."""
         self.folder.mkdir(parents=True, exist_ok=True)
         for job in self._jobs:
             write_atomically(self.folder / f"{job.name}.toml", job.toml().encode())
@@ -62,7 +62,7 @@ class Runner:
             self._end_children()
 
     def _ready(self) -> list[GridJob]:
-        """Jobs that may start now: scores and probes first, which are short; then those that a longer chain needs."""
+        """Jobs that may start now: short scores and probes first, then the longest dependency chain first."""
         waiting = [run.job for run in self.statuses.values() if run.state == "waiting"]
         ready = [job for job in waiting if all(self.statuses[need.name].done for need in job.needs)]
         return sorted(ready, key=lambda job: (job.stage not in ("evaluate", "train probe"), -self._chains[job.name]))
@@ -84,7 +84,7 @@ class Runner:
             run.state = "made" if child.has_made() else "up to date"
 
     def _hold_up(self, failed: GridJob) -> None:
-        """Of all that needs the failed job, directly or not, nothing will come."""
+        """Mark all jobs that need the failed job, directly or through other jobs."""
         lost = {failed.name}
         for job in self._jobs:
             if any(need.name in lost for need in job.needs):
@@ -100,7 +100,7 @@ class Runner:
                 time.sleep(0.02)
 
     def left(self) -> float:
-        """Seconds until all is done, roughly: the longest chain, or all work over all places, whichever is longer."""
+        """Approximate seconds until the end: the longest dependency chain, or all work divided by `width` if longer."""
         remaining = {name: self._remaining(run) for name, run in self.statuses.items()}
         return max(*chains(self._jobs, remaining).values(), sum(remaining.values()) / self.width)
 
@@ -113,23 +113,23 @@ class Runner:
 
 
 def run_grid(config: GridConfig, out: Path, *, root: Path, jobs: int | None, console: Console) -> Path:
-    """Run a benchmark, or what is left of it, and write its report.
+    """Run a grid, or what is left of it, and write its report.
 
     Args:
         config: agents, tasks, seeds.
-        out: folder of the benchmark: artefacts in the folders of a workspace, `report/`, and in `jobs/` the
+        out: folder of the grid. It holds artefacts in the folders of a workspace, `report/`, and in `jobs/` the
             configuration and output of every job.
         root: workspace that the configuration files belong to.
-        jobs: jobs side by side; as many as there are processors if not given.
-        console: where the table goes.
+        jobs: number of parallel jobs; by default the number of processors.
+        console: prints the table.
 
     Returns:
         The report's folder.
 
     Raises:
-        UsageError: if `jobs` is below 1, or another process runs the benchmark; ConfigError: if a file is wrong.
-            Nothing was started then.
-        GymOpenError: if a job failed; what does not depend on it was done, and the report is of that.
+        UsageError: if `jobs` is below 1, or another process runs this grid. Nothing was started.
+        ConfigError: if a file is wrong. Nothing was started.
+        GymOpenError: if a job failed. All jobs that do not need it have run, and the report covers them.
     """
     width = len(os.sched_getaffinity(0)) if jobs is None else jobs
     if width < 1:
@@ -143,18 +143,22 @@ def run_grid(config: GridConfig, out: Path, *, root: Path, jobs: int | None, con
             runner.run(screen)
         failed = [run for run in runner.statuses.values() if run.state == "failed"]
         for run in failed:
-            _tell(run, runner.folder, console)
+            _print_failure(run, runner.folder, console)
         report = _report([run.job for run in runner.statuses.values() if run.done], out)
     if failed or report is None:
         if report is not None:
-            console.print(f"the report is of what there is: {markup(str(report))}", highlight=False, soft_wrap=True)
+            console.print(
+                f"the report covers the finished jobs: {markup(str(report))}", highlight=False, soft_wrap=True
+            )
         held_up = sum(run.state == "held up" for run in runner.statuses.values())
-        others = f", and {held_up} that need what they make were not begun" if held_up else ""
-        raise GymOpenError(f"{len(failed)} of {len(plan)} jobs failed{others}: see above; the same command tries again")
+        others = f", and {held_up} that need what they make were not started" if held_up else ""
+        raise GymOpenError(
+            f"{len(failed)} of {len(plan)} jobs failed{others}: see above; run the same command to try again"
+        )
     return report
 
 
-def _tell(failed: JobStatus, folder: Path, console: Console) -> None:
+def _print_failure(failed: JobStatus, folder: Path, console: Console) -> None:
     name = failed.job.name
     for line in (
         f"[bold red]failed[/] {markup(name)}: {markup(failed.reason)}",
@@ -165,7 +169,7 @@ def _tell(failed: JobStatus, folder: Path, console: Console) -> None:
 
 
 def _report(done: Sequence[GridJob], out: Path) -> Path | None:
-    """The report of all scores that there are, if any; the other artefacts tell it of probes and configurations."""
+    """Write the report of all scores, if there are any. It finds probes and configurations in the other artefacts."""
     from gym_open.evaluate.report import ReportConfig, write_report
 
     for job in done:

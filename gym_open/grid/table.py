@@ -1,4 +1,4 @@
-"""What a person sees of a benchmark while it runs: a live table on a terminal, a line for each change elsewhere."""
+"""Shows a grid while it runs: a live table on a terminal, and one line per change elsewhere."""
 
 import time
 from collections import Counter
@@ -20,18 +20,18 @@ _STYLES = {
     "waiting": "dim", "running": "cyan", "made": "green", "up to date": "green", "failed": "bold red", "held up": "red",
 }  # fmt: skip
 _EVERY = 60.0
-"""Seconds between two lines on how far all is, where there is no terminal."""
+"""Seconds between two lines on the overall progress, where there is no terminal."""
 
 
 class Screen:
-    """Shows the jobs. On a terminal nothing else may print while it is open."""
+    """Shows the jobs. On a terminal, nothing else may print while it is open."""
 
     def __init__(self, console: Console) -> None:
         self.console = console
-        # The runner draws by itself: a process with no other threads may be forked without harm.
+        # No refresh thread: a process without other threads can be forked safely.
         self._live = Live(console=console, auto_refresh=False) if console.is_terminal else None
-        self._said: dict[str, str] = {}
-        self._lately = time.monotonic()
+        self._printed: dict[str, str] = {}
+        self._summarised = time.monotonic()
 
     def __enter__(self) -> Self:
         if self._live:
@@ -43,7 +43,7 @@ class Screen:
             self._live.stop()
 
     def show(self, statuses: Mapping[str, JobStatus], left: float) -> None:
-        """Show how things stand."""
+        """Show the state of the jobs, and the seconds that are left."""
         if self._live:
             self._live.update(table(statuses, left, self.console.height), refresh=True)
         else:
@@ -51,13 +51,13 @@ class Screen:
 
     def _print(self, statuses: Mapping[str, JobStatus], left: float) -> None:
         for name, run in statuses.items():
-            if run.state not in ("waiting", self._said.get(name)):
-                self._said[name] = run.state
+            if run.state not in ("waiting", self._printed.get(name)):
+                self._printed[name] = run.state
                 took = f" ({duration(run.seconds)})" if run.seconds else ""
                 reason = f": {run.reason}" if run.reason else ""
                 self._line(f"{name}: {run.state}{took}{reason}")
-        if time.monotonic() - self._lately >= _EVERY:
-            self._lately = time.monotonic()
+        if time.monotonic() - self._summarised >= _EVERY:
+            self._summarised = time.monotonic()
             self._line(summary(statuses, left))
             for name, run in statuses.items():
                 if run.state == "running":
@@ -68,7 +68,7 @@ class Screen:
 
 
 def table(statuses: Mapping[str, JobStatus], left: float, height: int) -> RenderableType:
-    """The jobs that fit on a screen of `height` lines: those at work first, those that failed, then what comes next."""
+    """The jobs that fit on a screen of `height` lines: running ones first, then failed ones, then the next ones."""
     order = ("running", "failed", "waiting", "held up", "made", "up to date")
     runs = sorted(statuses.values(), key=lambda run: order.index(run.state))
     room = max(height - 4, 1)
@@ -77,12 +77,12 @@ def table(statuses: Mapping[str, JobStatus], left: float, height: int) -> Render
         shown.add_column(no_wrap=True, overflow="ellipsis", ratio=ratio)
     for run in runs[:room]:
         share = run.progress.done / max(run.progress.total, 1) if run.progress else 0.0
-        at_work = run.state == "running"
+        is_running = run.state == "running"
         shown.add_row(
             Text(printable(run.job.name)),
             Text(run.state, style=_STYLES[run.state]),
-            ProgressBar(total=1.0, completed=share, width=10) if at_work else "",
-            Text(how_far(run) if at_work else printable(run.reason)),
+            ProgressBar(total=1.0, completed=share, width=10) if is_running else "",
+            Text(how_far(run) if is_running else printable(run.reason)),
             Text(duration(run.seconds) if run.seconds else ""),
         )
     more = [Text(f"… and {len(runs) - room} more", style="dim")] if len(runs) > room else []
@@ -90,7 +90,7 @@ def table(statuses: Mapping[str, JobStatus], left: float, height: int) -> Render
 
 
 def summary(statuses: Mapping[str, JobStatus], left: float) -> str:
-    """A line on all jobs together."""
+    """One line on all jobs together."""
     states = Counter(run.state for run in statuses.values())
     done = states["made"] + states["up to date"]
     parts = [f"{done} of {len(statuses)} jobs done"]
@@ -101,10 +101,10 @@ def summary(statuses: Mapping[str, JobStatus], left: float) -> str:
 
 
 def how_far(run: JobStatus) -> str:
-    """Units done and to do, speed, and time left of a job at work."""
+    """Finished and total units, speed, and remaining time of a running job."""
     progress = run.progress
     if progress is None:
-        return "begins"
+        return "starting"
     words = f"{progress.done:,}/{progress.total:,}"
     if progress.rate:
         left = (progress.total - progress.done) / progress.rate

@@ -34,9 +34,9 @@ def test_the_usual_time_is_a_median_without_the_first_time(
 
 
 @pytest.mark.parametrize("learn", [False, True])
-def test_a_picture_costs_something_and_threads_stay_as_they_were(learn: bool) -> None:
+def test_an_image_costs_something_and_threads_stay_as_they_were(learn: bool) -> None:
     threads, state = torch.get_num_threads(), torch.random.get_rng_state()
-    assert speed.cost_of_picture(Passes(SMALL, "fp32", "cpu", threads + 1, 4, learn), 4) > 0
+    assert speed.cost_of_image(Passes(SMALL, "fp32", "cpu", threads + 1, 4, learn), 4) > 0
     assert torch.get_num_threads() == threads
     assert torch.equal(torch.random.get_rng_state(), state)
 

@@ -14,8 +14,8 @@ NETWORK = EncoderConfig()
 
 
 def counts(done: Work) -> dict[tuple[int, bool], float]:
-    """Pictures by batch, and by whether they are learned from."""
-    return {(how.batch, how.learn): count for how, count in done.pictures.items()}
+    """Images by batch size, and by whether they are learned from."""
+    return {(how.batch, how.learn): count for how, count in done.images.items()}
 
 
 def test_seconds_are_the_sum_of_all_that_is_done() -> None:
@@ -70,10 +70,10 @@ def test_scoring_plays_every_step_of_the_budget() -> None:
     config = EvaluateConfig()
     policy, random = work.playing(config, NETWORK), work.playing(config, None)
     assert counts(policy) == {(100, False): 10_000}
-    assert (random.steps, random.pictures) == (policy.steps, {})
+    assert (random.steps, random.images) == (policy.steps, {})
 
 
-def test_probes_count_pictures_by_encoder_and_the_maps_as_pictures() -> None:
+def test_probes_count_images_by_encoder_and_the_maps_as_images() -> None:
     config = ProbeConfig(train_worlds=1500, validation_worlds=400, test_worlds=800, moves=3, untrained=2, pixels=False)
     maps, seen = 10 * 3 * 15e9 / 17e6, 2700 * 4 * 3
     assert counts(work.probing(config, NETWORK)) == {(128, False): pytest.approx(seen + maps)}

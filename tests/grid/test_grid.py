@@ -1,4 +1,4 @@
-"""A tiny grid, as a person runs it: killed and gone on with, with a job that fails, and again when all is done."""
+"""A tiny grid, run as a user runs it: killed and resumed, with a job that fails, and once more when it is finished."""
 
 import json
 import sys
@@ -37,9 +37,9 @@ TINY = {
     """,
 }
 JOBS = 14
-"""Play, release, encoder; three policies, each scored twice; random and oracle."""
+"""Exploration run, release, encoder; three policies, each scored twice; random and oracle."""
 BROKEN = TINY["train/tiny-encoder.toml"].replace("updates", "learning_rate = 1e30\nupdates")
-"""An encoder whose loss is soon no number."""
+"""An encoder whose loss soon is not a number."""
 
 
 def _workspace(root: Path) -> Path:
@@ -64,7 +64,7 @@ def _digests(root: Path) -> dict[str, str]:
 
 
 @pytest.mark.slow
-def test_killed_broken_and_mended_it_ends_as_if_nothing_had_been(tmp_path: Path) -> None:
+def test_killed_broken_and_repaired_it_ends_like_an_undisturbed_grid(tmp_path: Path) -> None:
     root, other = _workspace(tmp_path / "a"), _workspace(tmp_path / "b" / "elsewhere")
     (other / "train/tiny-encoder.toml").write_text(BROKEN)
     code = "from gym_open.cli import main; sys.exit(main(sys.argv[1:]))"
@@ -73,7 +73,7 @@ def test_killed_broken_and_mended_it_ends_as_if_nothing_had_been(tmp_path: Path)
     code, said = _run(other)
     assert code == 1, said
     assert "failed encoder-tiny-of" not in said
-    assert "1 of 14 jobs failed, and 3 that need what they make were not begun" in said
+    assert "1 of 14 jobs failed, and 3 that need what they make were not started" in said
     assert "alone: OMP_NUM_THREADS=1 gym-open train encoder --config " in said
     report = (other / "out/report/report.md").read_text()
     assert "curl+ride" in report

@@ -1,4 +1,4 @@
-"""A benchmark's configuration becomes jobs, and what is wrong with it shows before anything starts."""
+"""The configuration of a grid becomes jobs, and its mistakes show before anything starts."""
 
 import tomllib
 from collections import Counter
@@ -69,7 +69,7 @@ def test_every_job_can_be_given_as_a_file(file: Path) -> None:
     assert len(seen) == len({job.out for job in jobs}) == len(jobs)
 
 
-def test_what_two_agents_share_is_made_once() -> None:
+def test_what_two_agents_share_is_one_job() -> None:
     jobs = plan(probe="train/probe.toml")
     assert set(jobs) == {
         "collect-curl-ride-seed0", "release-curl-ride-seed0", "encoder-curl-of-curl-ride-seed0",
@@ -90,7 +90,7 @@ def test_no_path_of_a_command_is_taken_for_an_option() -> None:
     assert str(Path("-x").absolute() / "collect/logs/curl-ride-seed0") in words
 
 
-def test_one_play_for_all_seeds_or_one_for_each() -> None:
+def test_one_exploration_run_for_all_seeds_or_one_for_each() -> None:
     own = plan(seeds=[3, 4], agents=[OFFLINE])
     shared = plan(seeds=[3, 4], agents=[{**OFFLINE, "play_seed": 7}])
     for jobs, seeds in ((own, [3, 4]), (shared, [7])):
@@ -138,11 +138,11 @@ def test_every_task_is_scored_on_its_own_puzzles() -> None:
     [
         ({"agents": [{**SCRATCH, "online": True}]}, "`collect`"),
         ({"agents": [{**OFFLINE, "online": True}]}, "both `online` and `encoder`"),
-        ({"agents": [{**SCRATCH, "collect": "collect/icm.toml"}]}, "nothing is made of its play"),
+        ({"agents": [{**SCRATCH, "collect": "collect/icm.toml"}]}, "its exploration is not used"),
         ({"agents": [{**SCRATCH, "frozen": True}]}, "`frozen`"),
         ({"agents": [{**SCRATCH, "play_seed": 1}]}, "`play_seed`"),
-        ({"agents": [SCRATCH, SCRATCH]}, "'scratch' is there twice"),
-        ({"seeds": [1, 0, 0]}, "0 is there twice"),
+        ({"agents": [SCRATCH, SCRATCH]}, "'scratch' is given twice"),
+        ({"seeds": [1, 0, 0]}, "0 is given twice"),
         ({"agents": [{**SCRATCH, "name": "human"}]}, "none of random, oracle and human"),
         ({"agents": [{**SCRATCH, "name": "../up"}]}, "agents.0.name"),
         ({"agents": [{**SCRATCH, "polcy": "x"}]}, "did you mean `policy`?"),
@@ -154,14 +154,14 @@ def test_every_task_is_scored_on_its_own_puzzles() -> None:
         ({"agents": [{**SCRATCH, "policy": "collect/icm.toml"}]}, "collect/icm.toml: unknown key"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_named_before_anything_starts(changes: dict[str, Any], words: str, tmp_path: Path) -> None:
+def test_mistakes_are_named_before_anything_starts(changes: dict[str, Any], words: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as error:
         plan(tmp_path / "out", **changes)
     assert words in str(error.value)
     assert not (tmp_path / "out").exists()
 
 
-def test_two_plays_of_one_name_are_refused(tmp_path: Path) -> None:
+def test_two_exploration_runs_of_one_name_are_refused(tmp_path: Path) -> None:
     for folder, steps in (("a", 64), ("b", 128)):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "curl.toml").write_text(f"steps = {steps}\n")
@@ -178,7 +178,7 @@ def test_two_plays_of_one_name_are_refused(tmp_path: Path) -> None:
     st.integers(1, 200), st.lists(st.integers(1, 300), max_size=8), st.integers(1, 5), st.integers(1, 9),
 )  # fmt: skip
 def test_no_weights_are_scored_twice(steps: int, checkpoints: list[int], num_envs: int, num_steps: int) -> None:
-    """Against training played through: which checkpoints it writes, and at which step."""
+    """Compared with training step by step: which checkpoints it writes, and at which step."""
     config = PolicyTrainConfig(steps=steps, checkpoints=tuple(checkpoints), num_envs=num_envs, num_steps=num_steps)
     step, reached = 0, dict[int, int]()
     while step < steps:

@@ -1,4 +1,4 @@
-"""Jobs side by side: order, failures, what is up to date; no child outlives the runner. Jobs are small scripts here."""
+"""Parallel jobs: order, failures, what is up to date; no child outlives the runner. Jobs are small scripts here."""
 
 import dataclasses
 import io
@@ -61,7 +61,7 @@ TRACEBACK = "raise RuntimeError('broken')"
 
 @dataclass(frozen=True)
 class Script(GridJob):
-    """A job that is a Python script, called with the job's folder and `seconds`."""
+    """A job that is a Python script. Its arguments are the job's folder and `seconds`."""
 
     script: str = MAKE
     seconds: float = 0.0
@@ -101,7 +101,7 @@ def times(root: Path, name: str) -> tuple[int, int]:
 def test_a_job_waits_for_what_it_needs_and_others_do_not(tmp_path: Path) -> None:
     first, beside = (
         job(tmp_path, name, script=MEET) for name in ("first", "beside")
-    )  # each ends only beside the other
+    )  # each ends only while the other runs
     second = job(tmp_path, "second", first, beside)
     made, said = run(tmp_path, [first, beside, second])
     assert set(states(made).values()) == {"made"}
@@ -109,7 +109,7 @@ def test_a_job_waits_for_what_it_needs_and_others_do_not(tmp_path: Path) -> None
     assert [line for line in said.splitlines() if "made" in line][-1].startswith("second: made (")
 
 
-def test_one_place_is_one_job_at_a_time_longest_chain_first(tmp_path: Path) -> None:
+def test_width_one_is_one_job_at_a_time_longest_chain_first(tmp_path: Path) -> None:
     short, long, start = job(tmp_path, "a", units=1000), job(tmp_path, "b", units=9000), job(tmp_path, "c")
     after = job(tmp_path, "d", start, units=10_000)
     score = job(tmp_path, "e", stage="evaluate")
@@ -144,7 +144,7 @@ def test_options_that_are_refused_are_the_reason_and_not_an_earlier_failure(tmp_
     assert made.statuses["bad"].reason == "Unrecognized options: --polcy, a path that goes on"
 
 
-def test_what_is_there_is_up_to_date_and_failures_are_tried_again(tmp_path: Path) -> None:
+def test_existing_artefacts_are_up_to_date_and_failures_are_tried_again(tmp_path: Path) -> None:
     first, bad = job(tmp_path, "first"), job(tmp_path, "bad", script=FAIL)
     run(tmp_path, [first, bad])
     before = times(tmp_path, "first")
@@ -156,7 +156,7 @@ def test_what_is_there_is_up_to_date_and_failures_are_tried_again(tmp_path: Path
     assert log.count("$ OMP_NUM_THREADS=1") == 2  # of both attempts
 
 
-def test_nothing_is_started_for_an_artefact_that_is_whole_and_of_the_same_inputs(tmp_path: Path) -> None:
+def test_nothing_is_started_for_a_whole_artefact_of_the_same_inputs(tmp_path: Path) -> None:
     def work(folder: Path) -> dict[str, str]:
         (folder / "payload").write_text("played")
         return {}
@@ -183,7 +183,7 @@ def test_a_job_that_a_signal_ends_is_a_failure(tmp_path: Path) -> None:
     assert made.statuses["shot"].reason == "ended by SIGKILL"
 
 
-def test_children_have_one_thread_and_say_how_far_they_are(tmp_path: Path) -> None:
+def test_children_have_one_thread_and_report_their_progress(tmp_path: Path) -> None:
     script = """
 import os, pathlib, sys, time
 assert os.environ["OMP_NUM_THREADS"] == "1"
@@ -277,7 +277,7 @@ while os.getppid() == parent:  # nor does it outlive the tests
 
 
 def benchmark(root: Path, jobs: Sequence[GridJob], monkeypatch: pytest.MonkeyPatch, width: int | None = None) -> str:
-    """What a person is told by the time that it fails."""
+    """Everything that is printed until it fails."""
     monkeypatch.setattr(runner, "make_plan", lambda *_, **__: jobs)
     said = io.StringIO()
     config = GridConfig(tasks=("avoidance",), seeds=(0,), agents=(AgentConfig(name="a", policy="p.toml"),))
@@ -286,7 +286,7 @@ def benchmark(root: Path, jobs: Sequence[GridJob], monkeypatch: pytest.MonkeyPat
     return f"{said.getvalue()}{error.value}"
 
 
-def test_what_failed_is_told_with_its_log_and_the_command_that_runs_it_alone(
+def test_a_failure_is_printed_with_its_log_and_the_command_that_runs_it_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bad = job(tmp_path, "bad", script=FAIL)
