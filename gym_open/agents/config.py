@@ -13,7 +13,7 @@ Device = Literal["cpu", "cuda"]
 Architecture = Literal["cnn", "impala", "state"]
 _NAME = r"(?!(?:random|oracle|human)\Z)[a-z0-9][a-z0-9+_-]{0,47}\Z"
 _NAME_IN_WORDS = (
-    "a name of at most 48 small letters, digits, +, _ and -, and not random, oracle or human, which are reserved rows"
+    "a name of small letters, digits, +, _ and -, at most 48, and none of random, oracle and human, which are reserved"
 )
 AgentName = Annotated[str, matching(f"^{_NAME}", _NAME_IN_WORDS)]
 """Name of a table row, and part of folder names."""

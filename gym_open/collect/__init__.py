@@ -1,1 +1,1 @@
-"""Stage 1: exploration policies play in the sandbox, and everything is logged."""
+"""Stage 1: explorers act in the sandbox without a task, and every step is logged."""

@@ -1,4 +1,4 @@
-"""Checkpoints of exploration: with them and the logs' whole chunks, a killed run goes on as if it had not been."""
+"""Checkpoints of exploration: a killed run resumes from one and from the logs, and ends with the same bytes."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -28,21 +28,21 @@ _META = "meta"
 
 class _Meta(msgspec.Struct):
     record: RunRecord
-    places: list[StreamPosition]
-    tallies: list[WorldCounts]
+    positions: list[StreamPosition]
+    counts: list[WorldCounts]
     messages: list[int]
     """Messages in each stream's log when the checkpoint was taken."""
 
 
 class Saved(NamedTuple):
-    """A checkpoint as it was read."""
+    """A checkpoint that was read."""
 
     tensors: dict[str, Tensor]
     meta: _Meta
 
     @property
     def messages(self) -> list[int]:
-        """How many messages of each stream's log belong to it."""
+        """Number of messages in each stream's log that belong to the checkpoint."""
         return self.meta.messages
 
 
@@ -52,8 +52,8 @@ def save(path: Path, record: RunRecord, explorer: Explorer, pool: Pool, streams:
         stream.log.sync()
     meta = _Meta(
         record=record,
-        places=[stream.place for stream in streams],
-        tallies=pool.tallies,
+        positions=[stream.position for stream in streams],
+        counts=pool.counts,
         messages=[stream.log.messages for stream in streams],
     )
     live = {str(stream.index): torch.from_numpy(stream.save_state()) for stream in streams}
@@ -64,13 +64,13 @@ def save(path: Path, record: RunRecord, explorer: Explorer, pool: Pool, streams:
         **prefixed("pool", pool.tensors()),
         **prefixed("live", live),
     }
-    # A tensor, since the header that JSON would go into holds 100 MB at most, and the curve grows with every rollout.
+    # A tensor: the header, which would hold JSON, is limited to 100 MB, and the curve grows with every rollout.
     tensors[_META] = torch.frombuffer(bytearray(msgspec.msgpack.encode(meta)), dtype=torch.uint8)
     save_checkpoint(path, tensors, {})
 
 
 def load(path: Path) -> Saved | None:
-    """The checkpoint at `path`; None if none was taken yet.
+    """Read the checkpoint at `path`. None if there is none yet.
 
     Raises:
         ArtefactError: if it is damaged.
@@ -81,7 +81,7 @@ def load(path: Path) -> Saved | None:
     try:
         return Saved(tensors, msgspec.msgpack.decode(tensors[_META].numpy().tobytes(), type=_Meta))
     except (KeyError, msgspec.DecodeError) as error:
-        raise ArtefactError(f"{path}: no checkpoint of a run ({error}); remove its folder to start over") from None
+        raise ArtefactError(f"{path}: not a checkpoint of a run ({error}); remove its folder to start over") from None
 
 
 def restore(saved: Saved, explorer: Explorer, pool: Pool, streams: Sequence[ExplorationStream]) -> RunRecord:
@@ -90,9 +90,9 @@ def restore(saved: Saved, explorer: Explorer, pool: Pool, streams: Sequence[Expl
     if explorer.optimizer:
         load_optimizer(explorer.optimizer, without_prefix("optimizer", saved.tensors))
     pool.load_tensors(without_prefix("pool", saved.tensors))
-    pool.tallies = saved.meta.tallies
+    pool.counts = saved.meta.counts
     live = without_prefix("live", saved.tensors)
-    for stream, place in zip(streams, saved.meta.places, strict=True):
-        stream.place = place
+    for stream, position in zip(streams, saved.meta.positions, strict=True):
+        stream.position = position
         stream.load(live[str(stream.index)].numpy())
     return saved.meta.record

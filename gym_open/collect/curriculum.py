@@ -1,4 +1,4 @@
-"""The non-episodic curriculum: when a stream leaves its world, and for which. Decisions fall between rollouts.
+"""The non-episodic curriculum: when a stream leaves its world, and which one it enters. It decides between rollouts.
 
 The paper's rule, `loss`:
 
@@ -6,22 +6,22 @@ The paper's rule, `loss`:
     switch to the environment with the highest loss among the current pool. Exploration terminates when no new
     environment gives the agent a loss higher than a threshold."
 
-The *loss of a world*, in one place:
+The *loss of a world*, defined in one place:
 
-- of a world never visited: infinite, so fresh worlds come first, the lowest index before the others;
-- of a world left behind: the world model's loss, with its weights of now, on the last transitions kept of the world,
+- of a world that was never visited: infinite. So fresh worlds come first, in the order of their indices;
+- of a world that was left: the loss of the world model, with its present weights, on the last transitions of the world,
   times the model's scale, so that one threshold serves all models;
-- of a world being played in: the same, averaged over the last `window` rollouts, or those since it was entered;
-- of any world, for an explorer without a world model: not a number.
+- of a world that a stream is in: the same, averaged over the last `window` rollouts, or those since it was entered;
+- of any world, for an explorer without a world model: NaN.
 
-Probing a world costs no interaction: nothing is played for it.
+Measuring the loss of a world takes no steps in it.
 
-A world is *learned* when its loss is under the threshold; one being played in, not before the window is full: a model
-soon knows the few pictures of a first rollout by heart. With several streams a world holds at most one of them, and
-streams decide in turn: one whose world is learned while all unlearned ones are taken stays until one is free. One
-stream is the paper's rule.
+A world is *learned* when its loss is below the threshold. A world that a stream is in is not learned before the window
+is full, because a model soon memorises the few images of a first rollout. With several streams, a world holds at most
+one of them, and streams decide in turn. If the world of a stream is learned and all unlearned worlds are taken, the
+stream stays until one is free. With one stream, this is the paper's rule.
 
-The other rules are for comparison. They decide every `interval` steps in a world and never end a run.
+The other rules are for comparison. They decide every `interval` steps in a world, and never end a run.
 """
 
 import math
@@ -36,30 +36,30 @@ from gym_open.collect.config import CurriculumConfig, RuleName
 
 
 class Situation(msgspec.Struct, frozen=True):
-    """What a stream decides on."""
+    """The input of a stream's decision."""
 
     losses: Sequence[float]
-    """Of every world of the pool."""
+    """Loss of every world of the pool."""
     last_losses: Sequence[float]
-    """The same when any stream decided before; infinite before the first decision."""
+    """The losses at the previous decision of any stream; infinite before the first decision."""
     current: int
     """The world that the stream is in."""
     taken: Collection[int]
     """Worlds that other streams are in."""
     number: int
-    """Decisions that were made before in this run."""
+    """Number of earlier decisions in this run."""
 
     def free(self) -> list[int]:
-        """Worlds that no other stream is in, the stream's own among them, in order."""
+        """Worlds that no other stream is in, including the stream's own, in order."""
         return [world for world in range(len(self.losses)) if world not in self.taken]
 
 
 class Decision(msgspec.Struct, frozen=True):
-    """What a stream does next: `stay`, stop since all worlds are learned (`exhausted`), or go to another, and why."""
+    """What a stream does next: `stay`, stop because all worlds are learned (`exhausted`), or switch, and why."""
 
     kind: Literal["stay", "learned", "exhausted", "interval", "uniform", "progress"]
     world: int
-    """Where the stream is then; −1 if it stops."""
+    """The next world of the stream; −1 if it stops."""
 
 
 class Rule(ABC):
@@ -67,22 +67,22 @@ class Rule(ABC):
 
     Args:
         config: threshold and interval.
-        seed: root of the randomness of rules that have any.
+        seed: root seed of random decisions.
     """
 
     needs_losses: ClassVar[bool] = False
-    """Whether it means nothing without a world model."""
+    """Whether the rule needs a world model."""
 
     def __init__(self, config: CurriculumConfig, seed: int) -> None:
         self.config, self.seed = config, seed
 
     @abstractmethod
     def due(self, loss: float, steps: int) -> bool:
-        """Whether a stream has something to decide.
+        """Whether a stream must decide now.
 
         Args:
-            loss: of its world.
-            steps: taken there since it was entered, or since the last decision to stay.
+            loss: loss of its world.
+            steps: steps in the world since it was entered, or since the last decision to stay.
         """
 
     @abstractmethod
@@ -91,7 +91,7 @@ class Rule(ABC):
 
 
 class LossRule(Rule):
-    """The paper's: leave a learned world for the one of highest loss, stop when all are learned."""
+    """The paper's rule: leave a learned world for the one of highest loss, and stop when all are learned."""
 
     needs_losses = True
 
@@ -100,7 +100,7 @@ class LossRule(Rule):
         return loss < self.config.threshold
 
     def decide(self, situation: Situation) -> Decision:
-        """Go to the unlearned world of highest loss that is free."""
+        """Enter the free unlearned world with the highest loss."""
         losses = situation.losses
         if max(losses) < self.config.threshold:
             return Decision("exhausted", -1)
@@ -123,24 +123,24 @@ class NeverRule(Rule):
 
 
 class IntervalRule(Rule):
-    """Every so many steps to the next world in order that is free."""
+    """Every `interval` steps, enter the next free world in order."""
 
     def due(self, loss: float, steps: int) -> bool:  # noqa: ARG002
         """Every `interval` steps in a world."""
         return steps >= self.config.interval
 
     def decide(self, situation: Situation) -> Decision:
-        """Go to the next free world; after the last comes the first."""
+        """Enter the next free world; after the last one, the first."""
         later = [world for world in situation.free() if world > situation.current]
         world = [*later, *situation.free()][0]
         return Decision("stay" if world == situation.current else "interval", world)
 
 
 class UniformRule(IntervalRule):
-    """Every so many steps to another free world, all alike likely."""
+    """Every `interval` steps, enter another free world, chosen uniformly at random."""
 
     def decide(self, situation: Situation) -> Decision:
-        """Draw from a generator of the decision's own number."""
+        """Draw from a generator that depends on the number of the decision."""
         others = [world for world in situation.free() if world != situation.current]
         if not others:
             return Decision("stay", situation.current)
@@ -149,16 +149,16 @@ class UniformRule(IntervalRule):
 
 
 class ProgressRule(IntervalRule):
-    """Every so many steps to the free world whose loss changed most since the last decision, fresh ones first.
+    """Every `interval` steps, enter the free world whose loss changed most since the last decision; fresh ones first.
 
-    The stream's own world is among them. A world first entered since then has changed infinitely, so it is stayed in
-    once more: only then is its progress known.
+    The choice includes the stream's own world. The loss of a world that was first entered since then has changed
+    infinitely. So the stream stays in it once more: only after that is its progress known.
     """
 
     needs_losses = True
 
     def decide(self, situation: Situation) -> Decision:
-        """Go to where most is being learned or forgotten."""
+        """Enter the world in which the model learns or forgets most."""
 
         def interest(world: int) -> tuple[bool, float, int]:
             now = situation.losses[world]
@@ -179,5 +179,5 @@ RULES: dict[RuleName, type[Rule]] = {
 
 
 def smoothed(recent: Sequence[float]) -> float:
-    """Mean of the last losses measured of a world being played in; infinite before anything was."""
+    """Mean of the latest losses of a world that a stream is in; infinite before the first measurement."""
     return sum(recent) / len(recent) if recent else math.inf

@@ -1,4 +1,4 @@
-"""The summary of a run as one picture."""
+"""The summary of an exploration run as one figure."""
 
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -31,7 +31,7 @@ STREAMS = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (PURPLE, ":"))
 
 
 class SegmentSpan(NamedTuple):
-    """A stay in a world, in steps of all streams, which move at one pace."""
+    """A segment on the axis of steps of all streams; all streams advance at the same rate."""
 
     stream: int
     world: int
@@ -51,10 +51,10 @@ def draw_summary(summary: Mapping[str, Any], curriculum: CurriculumConfig) -> by
 
 def _draw(figure: "Figure", summary: Mapping[str, Any], curriculum: CurriculumConfig) -> None:
     top, bottom = figure.subplots(2, 3)
-    stays = list(_stays(summary["segments"]))
-    _losses(top[0], summary["curve"], stays, curriculum)
-    _stays_in_worlds(top[1], stays, len(summary["worlds"]))
-    _entry_and_exit(top[2], stays, curriculum)
+    spans = list(_spans(summary["segments"]))
+    _losses(top[0], summary["curve"], spans, curriculum)
+    _worlds_of_streams(top[1], spans, len(summary["worlds"]))
+    _entry_and_exit(top[2], spans, curriculum)
     _worlds(bottom[0], summary["worlds"])
     _coverage(figure, bottom[1], summary["coverage"])
     _touches(bottom[2], summary)
@@ -66,11 +66,11 @@ def _draw(figure: "Figure", summary: Mapping[str, Any], curriculum: CurriculumCo
     stuck = ", ".join(f"{kind} {counts['times']} times" for kind, counts in summary["stuck"].items())
     figure.suptitle(
         f"{summary['explorer']}, curriculum “{summary['rule']}”: {summary['steps']:,} steps, "
-        f"{summary['switches']} switches\nstays ended by: {reasons}; stuck: {stuck}"
+        f"{summary['switches']} switches\nsegments ended by: {reasons}; stuck: {stuck}"
     )
 
 
-def _stays(segments: list[dict[str, Any]]) -> Iterator[SegmentSpan]:
+def _spans(segments: list[dict[str, Any]]) -> Iterator[SegmentSpan]:
     streams = len({item["stream"] for item in segments})
     steps = [0] * streams
     for item in sorted(segments, key=lambda item: (item["stream"], item["segment"])):
@@ -80,7 +80,7 @@ def _stays(segments: list[dict[str, Any]]) -> Iterator[SegmentSpan]:
         yield SegmentSpan(stream, item["world"], first * streams, steps[stream] * streams, entry, left, item["ended"])
 
 
-def _losses(axes: "Axes", curve: Mapping[str, Any], stays: list[SegmentSpan], curriculum: CurriculumConfig) -> None:
+def _losses(axes: "Axes", curve: Mapping[str, Any], spans: list[SegmentSpan], curriculum: CurriculumConfig) -> None:
     columns = np.array(curve["rows"], dtype=np.float64).reshape(-1, len(curve["columns"])).T
     named = dict(zip(curve["columns"], columns, strict=True))
     axes.set(title="World model's loss", xlabel="steps of all streams", ylabel="loss, scaled")
@@ -88,8 +88,8 @@ def _losses(axes: "Axes", curve: Mapping[str, Any], stays: list[SegmentSpan], cu
     if np.isfinite(named["world_loss"]).any():
         lone = {"marker": "o", "markersize": 4, "clip_on": False} if len(named["step"]) == 1 else {}  # no line to see
         axes.plot(named["step"], named["world_model_loss"], color=SKY, linewidth=0.8, label="in training", **lone)
-        axes.plot(named["step"], named["world_loss"], color=BLUE, label="of the worlds in play", **lone)
-    left = sorted({stay.last for stay in stays if stay.last < named["step"][-1]})
+        axes.plot(named["step"], named["world_loss"], color=BLUE, label="of the current worlds", **lone)
+    left = sorted({span.last for span in spans if span.last < named["step"][-1]})
     if left:
         floor = axes.get_xaxis_transform()
         axes.plot(left, np.full(len(left), 0.02), "|", color="black", markersize=9, transform=floor, label="switch")
@@ -106,26 +106,26 @@ def _log_scale(axes: "Axes", losses: np.ndarray, curriculum: CurriculumConfig) -
         axes.axhline(curriculum.threshold, color=VERMILION, linestyle="--", label="threshold: world learned")
 
 
-def _stays_in_worlds(axes: "Axes", stays: list[SegmentSpan], worlds: int) -> None:
+def _worlds_of_streams(axes: "Axes", spans: list[SegmentSpan], worlds: int) -> None:
     from matplotlib.ticker import MaxNLocator
 
     axes.set(title="Which world each stream is in", xlabel="steps of all streams", ylabel="world")
-    for stream in sorted({stay.stream for stay in stays}):
+    for stream in sorted({span.stream for span in spans}):
         colour, dash = STREAMS[stream % len(STREAMS)]
-        own = [stay for stay in stays if stay.stream == stream]
-        steps = [step for stay in own for step in (stay.first, stay.last)]
-        rows = [stay.world for stay in own for _ in range(2)]
+        own = [span for span in spans if span.stream == stream]
+        steps = [step for span in own for step in (span.first, span.last)]
+        rows = [span.world for span in own for _ in range(2)]
         axes.plot(steps, rows, color=colour, linestyle=dash, linewidth=1.6, label=f"stream {stream}")
     axes.set_ylim(-0.7, worlds - 0.3)
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
 
 
-def _entry_and_exit(axes: "Axes", stays: list[SegmentSpan], curriculum: CurriculumConfig) -> None:
+def _entry_and_exit(axes: "Axes", spans: list[SegmentSpan], curriculum: CurriculumConfig) -> None:
     axes.set(title="Loss of a world, entered and left", xlabel="steps of all streams", ylabel="loss, scaled")
-    _log_scale(axes, np.array([stay.loss_at_exit for stay in stays]), curriculum)
-    stays = [stay for stay in stays if np.isfinite(stay.loss_at_exit)]
-    again = [stay for stay in stays if np.isfinite(stay.loss_at_entry)]
-    fresh = [stay.first for stay in stays if not np.isfinite(stay.loss_at_entry)]
+    _log_scale(axes, np.array([span.loss_at_exit for span in spans]), curriculum)
+    spans = [span for span in spans if np.isfinite(span.loss_at_exit)]
+    again = [span for span in spans if np.isfinite(span.loss_at_entry)]
+    fresh = [span.first for span in spans if not np.isfinite(span.loss_at_entry)]
     if fresh:
         floor = axes.get_xaxis_transform()
         axes.plot(
@@ -135,8 +135,8 @@ def _entry_and_exit(axes: "Axes", stays: list[SegmentSpan], curriculum: Curricul
         first, last, entry, left = np.array([(s.first, s.last, s.loss_at_entry, s.loss_at_exit) for s in again]).T
         axes.plot([first, last], [entry, left], color=GREY, linewidth=0.8, zorder=1)
         axes.plot(first, entry, "o", markerfacecolor="none", color=BLUE, markersize=5, label="entered again")
-    if stays:
-        last, left = np.array([(stay.last, stay.loss_at_exit) for stay in stays]).T
+    if spans:
+        last, left = np.array([(span.last, span.loss_at_exit) for span in spans]).T
         axes.plot(last, left, "o", color=BLUE, markersize=4, label="left", clip_on=False)
 
 

@@ -1,4 +1,4 @@
-"""The pool: the distinct sandbox worlds to play in, each as it was left, with the last transitions seen in it."""
+"""The pool: the distinct sandbox worlds, with their states when they were left and the last transitions in each."""
 
 import math
 
@@ -19,10 +19,10 @@ from gym_open.errors import GymOpenError
 
 
 def sample_pool(size: int, sandbox: SandboxConfig, seed: int) -> tuple[Puzzle, ...]:
-    """Draw `size` sandbox worlds of different layout.
+    """Draw `size` sandbox worlds with different layouts.
 
     Raises:
-        GymOpenError: if the configuration leaves too few different ones.
+        GymOpenError: if the configuration allows too few different layouts.
     """
     rng = seeding.generator(seed, "collect", "pool")
     found: dict[str, Puzzle] = {}
@@ -31,27 +31,27 @@ def sample_pool(size: int, sandbox: SandboxConfig, seed: int) -> tuple[Puzzle, .
         found.setdefault(puzzle.digest, puzzle)
         if len(found) == size:
             return tuple(found.values())
-    raise GymOpenError(f"`pool`: only {len(found)} different worlds of {sandbox}, {size} wanted; ask for fewer")
+    raise GymOpenError(f"`pool`: only {len(found)} different worlds of {sandbox}, expected {size}; give fewer")
 
 
 class Pool:
-    """The worlds by index.
+    """The worlds, by index.
 
     Attributes:
         left: integration state of each world that was left, by index.
-        tallies: one a world.
+        counts: counts of each world.
     """
 
     def __init__(self, puzzles: tuple[Puzzle, ...], probe: int, seed: int) -> None:
         self.puzzles = puzzles
         self.left: dict[int, np.ndarray] = {}
-        self.tallies = [WorldCounts() for _ in puzzles]
+        self.counts = [WorldCounts() for _ in puzzles]
         self._probe = probe
         self._seed = seed
         self._seen: list[dict[bytes, tuple[np.ndarray, int, np.ndarray]]] = [{} for _ in puzzles]
 
-    def first_looks(self) -> np.ndarray:
-        """Every world as its puzzle has it, (pool, 84, 84, 3) uint8; nothing moves and nothing is remembered."""
+    def initial_images(self) -> np.ndarray:
+        """Initial observation of every world, (pool, 84, 84, 3) uint8. The pool does not change."""
         world = World()
         looks: list[np.ndarray] = []
         for puzzle in self.puzzles:
@@ -60,16 +60,15 @@ class Pool:
         return np.stack(looks)
 
     def see(self, world: int, obs: np.ndarray, actions: np.ndarray, next_obs: np.ndarray) -> None:
-        """Keep the latest transitions of a world, one an observation.
+        """Keep the latest transitions of a world, one per distinct observation.
 
-        Of distinct observations, because no world model can tell equal pictures apart: they would only put a floor
-        under the loss.
+        No world model can tell equal images apart. Repeated observations would only limit how low the loss can fall.
 
         Args:
-            world: its index.
-            obs: (T, 84, 84, 3) uint8.
-            actions: (T,) int64, taken at `obs`.
-            next_obs: what each led to, like `obs`.
+            world: index of the world.
+            obs: observations, (T, 84, 84, 3) uint8.
+            actions: actions taken at `obs`, (T,) int64.
+            next_obs: observations that the actions led to, like `obs`.
         """
         seen = self._seen[world]
         for image, action, after in zip(obs, actions.tolist(), next_obs, strict=True):
@@ -79,7 +78,7 @@ class Pool:
         self._seen[world] = dict(list(seen.items())[-self._probe :])
 
     def transitions(self, world: int) -> TransitionBatch | None:
-        """What is kept of a world, oldest first; None if nothing is."""
+        """Kept transitions of a world, oldest first. None if there are none."""
         seen = self._seen[world]
         if not seen:
             return None
@@ -89,9 +88,9 @@ class Pool:
         )
 
     def loss(self, world: int, explorer: Explorer, rollout: int) -> float:
-        """The scaled loss of the explorer's world model on what was last seen of a world; infinite if that is nothing.
+        """Scaled loss of the explorer's world model on the kept transitions of a world; infinite if there are none.
 
-        Its randomness depends on the seed, the world and the number of the rollout alone.
+        Its randomness depends only on the seed, the world and the number of the rollout.
         """
         transitions = self.transitions(world)
         if transitions is None:
@@ -100,7 +99,7 @@ class Pool:
         return explorer.world_loss(transitions, torch.Generator().manual_seed(number))
 
     def tensors(self) -> dict[str, Tensor]:
-        """What was seen and how the worlds were left, by name; pictures are packed, to a three-hundredth or so."""
+        """Transitions and left states by name. Images are compressed, to about 1/300."""
         found = {f"left/{index}": torch.from_numpy(state) for index, state in self.left.items()}
         for index in range(len(self.puzzles)):
             transitions = self.transitions(index)
@@ -111,7 +110,7 @@ class Pool:
         return found
 
     def load_tensors(self, tensors: dict[str, Tensor]) -> None:
-        """Restore what `tensors` gave."""
+        """Restore the state from the result of `tensors`."""
         for index in range(len(self.puzzles)):
             if f"left/{index}" in tensors:
                 self.left[index] = tensors[f"left/{index}"].numpy()
@@ -121,10 +120,10 @@ class Pool:
 
 
 def _packed(images: Tensor) -> Tensor:
-    """Zstandard's bytes of pictures (B, 84, 84, 3) uint8, as a tensor."""
+    """Images (B, 84, 84, 3) uint8, compressed by Zstandard, as a tensor of bytes."""
     return torch.frombuffer(bytearray(zstandard.compress(images.numpy().tobytes(), 1)), dtype=torch.uint8)
 
 
 def _unpacked(packed: Tensor) -> np.ndarray:
-    pictures = np.frombuffer(zstandard.decompress(packed.numpy().tobytes()), np.uint8)
-    return pictures.reshape(-1, IMAGE_SIZE, IMAGE_SIZE, 3)
+    images = np.frombuffer(zstandard.decompress(packed.numpy().tobytes()), np.uint8)
+    return images.reshape(-1, IMAGE_SIZE, IMAGE_SIZE, 3)

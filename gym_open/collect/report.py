@@ -1,4 +1,4 @@
-"""The summary of a run as tables for a terminal."""
+"""The summary of an exploration run as tables for a terminal."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,12 +11,12 @@ from rich.table import Table
 from gym_open.errors import ArtefactError
 from gym_open.terminal import titled_table
 
-MOST_STAYS = 24
-"""Stays that are listed; of a longer run, the last ones."""
+MOST_SEGMENTS = 24
+"""Largest number of segments in the table; of a longer run, it shows the last ones."""
 
 
 def summary_table(log: Path) -> Group:
-    """What happened in the run of the log artefact `log`, from its summary.json.
+    """Tables of the exploration run in the log artefact `log`, from its summary.json.
 
     Raises:
         ArtefactError: if the summary is missing or not readable.
@@ -26,7 +26,7 @@ def summary_table(log: Path) -> Group:
         summary = msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
     except (OSError, msgspec.DecodeError) as error:
         raise ArtefactError(f"{path}: not readable: {error}; collect the log again") from None
-    return Group(_worlds(summary), _stays(summary["segments"]), _play(summary))
+    return Group(_worlds(summary), _segments(summary["segments"]), _overview(summary))
 
 
 def _worlds(summary: Mapping[str, Any]) -> Table:
@@ -42,9 +42,9 @@ def _worlds(summary: Mapping[str, Any]) -> Table:
     return table
 
 
-def _stays(segments: list[dict[str, Any]]) -> Table:
-    shown = segments[-MOST_STAYS:]
-    title = "stays" if len(shown) == len(segments) else f"the last {len(shown)} of {len(segments)} stays"
+def _segments(segments: list[dict[str, Any]]) -> Table:
+    shown = segments[-MOST_SEGMENTS:]
+    title = "segments" if len(shown) == len(segments) else f"the last {len(shown)} of {len(segments)} segments"
     numbers = ("stream", "world", "steps", "loss entered", "loss left")
     table = titled_table(title, (*numbers, "ended by"), right=numbers)
     for row in shown:
@@ -56,14 +56,14 @@ def _stays(segments: list[dict[str, Any]]) -> Table:
     return table
 
 
-def _play(summary: Mapping[str, Any]) -> Table:
-    table = titled_table("play", ("", ""))
+def _overview(summary: Mapping[str, Any]) -> Table:
+    table = titled_table("exploration", ("", ""))
     table.show_header = False
     coverage, stuck = summary["coverage"], summary["stuck"]
     reasons = ", ".join(f"{reason} {count}" for reason, count in summary["reasons"].items())
     touched = sorted(summary["touches"].items(), key=lambda item: -item[1])
     touches = ", ".join(f"{kind} {count:,}" for kind, count in touched if count)
-    table.add_row("stays ended by", reasons)
+    table.add_row("segments ended by", reasons)
     table.add_row(
         "table seen",
         f"{coverage['share']:.0%} of its cells; of those of a visited world {coverage['share_of_visited_worlds']:.0%}",
@@ -75,5 +75,5 @@ def _play(summary: Mapping[str, Any]) -> Table:
 
 
 def _loss(value: float | None, *, fresh: bool = False) -> str:
-    """A loss, which is null in JSON of a fresh world, and of any without a world model."""
+    """A loss as text. In JSON it is null for a fresh world, and for every world without a world model."""
     return f"{value:.3g}" if value is not None else "fresh" if fresh else "–"

@@ -1,4 +1,4 @@
-"""What happened during a run, for `summary.json`."""
+"""What happened during an exploration run: counts per world, and the record of the run, for `summary.json`."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -14,17 +14,17 @@ from gym_open.envs.puzzles import Puzzle
 from gym_open.formats.logs.schemas import Ended, Stuck
 
 CURVE = ["step", "world_model_loss", "world_loss", "intrinsic_reward", "policy_entropy"]
-"""Columns of the curve, one row a rollout: steps of all streams so far, then the world model's loss in the update and
-the mean loss of the worlds being played in as the curriculum measures it (both scaled), and means over the rollout."""
+"""Columns of the curve, with one row per rollout: steps of all streams so far; the world model's loss in the update
+and the mean loss of the current worlds as the curriculum measures it (both scaled); and means over the rollout."""
 STOPS = ("budget", "exhausted")
-"""Why a stay ended that no other followed."""
+"""Reasons that end the last segment of a stream."""
 TOUCHED = ("yellow", "green", "heavy", "light", "push", "rectangle", "cone", "wall", "corner", "pen", "ramp")
-"""What the agent can touch: kinds of objects, then of scenery; kinds that it never touched are counted as 0."""
+"""Kinds of things that the agent can touch: objects, then scenery. Kinds that were never touched count 0."""
 STUCK = ("agent", "corner")
 
 
 class StuckCount(msgspec.Struct):
-    """How often something got stuck, and for how many steps at least one thing was."""
+    """How often things got stuck, and for how many steps at least one thing was stuck."""
 
     times: int = 0
     steps: int = 0
@@ -39,20 +39,20 @@ def _none_stuck() -> dict[str, StuckCount]:
 
 
 class WorldCounts(msgspec.Struct):
-    """Counts of one world, all streams together; plain data, for a checkpoint."""
+    """Counts of one world over all streams, as plain data for a checkpoint."""
 
     visits: int = 0
-    """How often it was entered."""
+    """Times that a stream entered the world."""
     steps: int = 0
     cells: list[int] = msgspec.field(default_factory=lambda: [0] * (ROWS * COLUMNS))
     """Steps after which the agent was in each cell of the placement grid, row by row."""
     touches: dict[str, int] = msgspec.field(default_factory=_none_touched)
-    """Things of each kind that the agent touched, counted anew every step."""
+    """Things of each kind that the agent touched, summed over steps."""
     stuck: dict[str, StuckCount] = msgspec.field(default_factory=_none_stuck)
-    """By what was stuck: `agent`, or an object in a `corner`."""
+    """Counts of the stuck `agent`, and of objects stuck in a `corner`."""
 
     def step(self, agent: tuple[float, float, float], contacts: Iterable[Contact]) -> None:
-        """Count a step after which the agent is at a place (metres), with what touched what in it."""
+        """Count a step, given the position of the agent after it (metres) and the contacts during it."""
         self.steps += 1
         self.cells[cell_at(agent[0], agent[1])] += 1
         for contact in contacts:
@@ -61,7 +61,7 @@ class WorldCounts(msgspec.Struct):
                 self.touches[other.split("_")[0]] += 1
 
     def stuck_step(self, turns: Iterable[Stuck], *, agent: bool, corner: bool) -> None:
-        """Count what began to be stuck with a step, and whether the agent, or an object in a corner, is so after it."""
+        """Count what got stuck in a step, and whether the agent or an object in a corner is stuck after it."""
         for turn in turns:
             self.stuck[turn.kind].times += turn.began
         self.stuck["agent"].steps += agent
@@ -73,36 +73,36 @@ class WorldCounts(msgspec.Struct):
 
 
 def cell_at(x: float, y: float) -> int:
-    """Number, row by row, of the placement grid's cell that a place on the table (metres) is in, or is nearest to."""
+    """Number, row by row, of the placement grid's cell at or nearest to a position on the table (metres)."""
     row, column = round((CELL_0[1] - y) / PITCH), round((x - CELL_0[0]) / PITCH)
     return min(max(row, 0), ROWS - 1) * COLUMNS + min(max(column, 0), COLUMNS - 1)
 
 
 class SegmentRecord(msgspec.Struct):
-    """One stay of a stream in a world."""
+    """A finished segment: consecutive steps of a stream in one world."""
 
     stream: int
     segment: int
     world: int
     steps: int
     loss_at_entry: float
-    """As it decided; infinite (null in JSON) for a world that was fresh."""
+    """Loss in the decision to enter the world; infinite (null in JSON) for a fresh world."""
     loss_at_exit: float
     ended: Ended
 
 
 class RunRecord(msgspec.Struct):
-    """What happened so far; part of a checkpoint."""
+    """What happened so far in a run, as plain data for a checkpoint."""
 
     rollouts: int = 0
     steps: int = 0
-    """Of all streams."""
+    """Steps of all streams."""
     decisions: int = 0
-    """Of the curriculum, to stay included."""
+    """Decisions of the curriculum, including those to stay."""
     last_losses: list[float] = []
-    """Loss of every world when the curriculum last decided; empty before that."""
+    """Loss of every world at the last decision of the curriculum; empty before the first."""
     segments: list[SegmentRecord] = []
-    """Those that have ended."""
+    """Finished segments."""
     curve: list[tuple[int, float, float, float, float]] = []
     """Rows of `CURVE`."""
     final_losses: list[float] = []
@@ -116,25 +116,25 @@ class RunRecord(msgspec.Struct):
 
 
 def summarise(
-    config: CollectConfig, record: RunRecord, puzzles: Sequence[Puzzle], tallies: Sequence[WorldCounts]
+    config: CollectConfig, record: RunRecord, puzzles: Sequence[Puzzle], counts: Sequence[WorldCounts]
 ) -> dict[str, Any]:
-    """The summary of a run that has ended, as JSON-ready data; losses that are infinite or no numbers become null.
+    """The summary of a finished run as JSON-ready data. Losses that are infinite or NaN become null.
 
-    Shares of the table are of the cells of the placement grid, 16 rows from the far end by 9 columns from the left.
+    Coverage is the share of cells of the placement grid: 16 rows from the far end by 9 columns from the left.
     """
-    cells = np.array([tally.cells for tally in tallies])
+    cells = np.array([count.cells for count in counts])
     worlds = [
         {
             "world": index,
             "puzzle": puzzle.digest,
-            "visits": tally.visits,
-            "steps": tally.steps,
+            "visits": count.visits,
+            "steps": count.steps,
             "final_loss": loss,
-            "coverage": tally.cells_seen() / cells.shape[1],
-            "touches": tally.touches,
-            "stuck": tally.stuck,
+            "coverage": count.cells_seen() / cells.shape[1],
+            "touches": count.touches,
+            "stuck": count.stuck,
         }
-        for index, (puzzle, tally, loss) in enumerate(zip(puzzles, tallies, record.final_losses, strict=True))
+        for index, (puzzle, count, loss) in enumerate(zip(puzzles, counts, record.final_losses, strict=True))
     ]
     summary = {
         "explorer": config.explorer.name,
@@ -148,9 +148,9 @@ def summarise(
             "share_of_visited_worlds": float((cells[cells.any(axis=1)] > 0).mean()),
             "cells": cells.sum(axis=0).reshape(ROWS, COLUMNS).tolist(),
         },
-        "touches": {kind: sum(tally.touches[kind] for tally in tallies) for kind in TOUCHED},
+        "touches": {kind: sum(count.touches[kind] for count in counts) for kind in TOUCHED},
         "stuck": {
-            kind: {name: sum(getattr(tally.stuck[kind], name) for tally in tallies) for name in ("times", "steps")}
+            kind: {name: sum(getattr(count.stuck[kind], name) for count in counts) for name in ("times", "steps")}
             for kind in STUCK
         },
         "worlds": worlds,

@@ -28,22 +28,22 @@ def test_what_is_beyond_the_grid_is_in_its_nearest_cell(x: float, y: float, cell
 
 
 def test_steps_places_and_touches_of_the_agent_are_counted() -> None:
-    tally = WorldCounts()
-    tally.step((*cell_centre(0, 1), 0.05), [contact("agent", "heavy_11"), contact("heavy_11", "agent")])
-    tally.step((*cell_centre(0, 1), 0.05), [contact("corner_north_east", "agent"), contact("light_0", "heavy_0")])
-    tally.step((*cell_centre(2, 0), 0.05), [contact("agent", "ramp_slope"), contact("agent", "wall_east")])
-    assert tally.steps == 3
-    assert {cell: count for cell, count in enumerate(tally.cells) if count} == {1: 2, 2 * COLUMNS: 1}
-    assert tally.cells_seen() == 2
-    touched = {kind: count for kind, count in tally.touches.items() if count}
+    counts = WorldCounts()
+    counts.step((*cell_centre(0, 1), 0.05), [contact("agent", "heavy_11"), contact("heavy_11", "agent")])
+    counts.step((*cell_centre(0, 1), 0.05), [contact("corner_north_east", "agent"), contact("light_0", "heavy_0")])
+    counts.step((*cell_centre(2, 0), 0.05), [contact("agent", "ramp_slope"), contact("agent", "wall_east")])
+    assert counts.steps == 3
+    assert {cell: count for cell, count in enumerate(counts.cells) if count} == {1: 2, 2 * COLUMNS: 1}
+    assert counts.cells_seen() == 2
+    touched = {kind: count for kind, count in counts.touches.items() if count}
     assert touched == {"heavy": 2, "corner": 1, "ramp": 1, "wall": 1}
 
 
 def test_stuck_things_are_counted_by_beginnings_and_steps() -> None:
-    tally = WorldCounts()
+    counts = WorldCounts()
     began, ceased = (Stuck(5, 0, "corner", "light_0", began, (0, 0, 0)) for began in (True, False))
-    tally.stuck_step([began, began], agent=False, corner=True)
-    tally.stuck_step([], agent=True, corner=True)
-    tally.stuck_step([ceased], agent=True, corner=False)
-    assert (tally.stuck["corner"].times, tally.stuck["corner"].steps) == (2, 2)
-    assert (tally.stuck["agent"].times, tally.stuck["agent"].steps) == (0, 2)
+    counts.stuck_step([began, began], agent=False, corner=True)
+    counts.stuck_step([], agent=True, corner=True)
+    counts.stuck_step([ceased], agent=True, corner=False)
+    assert (counts.stuck["corner"].times, counts.stuck["corner"].steps) == (2, 2)
+    assert (counts.stuck["agent"].times, counts.stuck["agent"].steps) == (0, 2)

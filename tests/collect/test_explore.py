@@ -297,12 +297,12 @@ def test_who_gets_stuck_is_logged_and_counted(
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"streams": 5}, "key `streams`: at most one a world, got 5 for a pool of 4"),
-        ({"steps": 1}, "key `steps`: at least one a stream, got 1 for 2 streams"),
+        ({"streams": 5}, "key `streams`: at most one per world, got 5 for a pool of 4"),
+        ({"steps": 1}, "key `steps`: at least one per stream, got 1 for 2 streams"),
         (
             {"explorer": {"world_model": "none", "reward": "none"}},
             (
-                "key `curriculum.rule`: loss looks at the loss of a world model, and `explorer.world_model` is none; "
+                "key `curriculum.rule`: loss needs the loss of a world model, and `explorer.world_model` is none; "
                 "give one of never, interval, uniform, or a world model"
             ),
         ),

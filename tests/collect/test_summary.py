@@ -14,7 +14,7 @@ from gym_open.agents.config import ExplorerConfig
 from gym_open.collect.config import CollectConfig, CurriculumConfig
 from gym_open.collect.figure import draw_summary
 from gym_open.collect.pool import sample_pool
-from gym_open.collect.report import MOST_STAYS, summary_table
+from gym_open.collect.report import MOST_SEGMENTS, summary_table
 from gym_open.collect.summary import RunRecord, SegmentRecord, StuckCount, WorldCounts, summarise
 from gym_open.envs.puzzles.generators import SandboxConfig
 from gym_open.errors import ArtefactError
@@ -34,17 +34,17 @@ def summed_up(config: CollectConfig, losses: list[float], stays: int = 1) -> dic
     ]
     curve = [(50, 2 * losses[0], losses[0], 0.1, 2.0), (100, losses[0], losses[2], 0.1, 2.0)]
     record = RunRecord(2, 100, 1, [], segments, curve, losses, "budget")
-    tallies = [
+    counts = [
         WorldCounts(visits=1, steps=30),
         WorldCounts(visits=1, steps=20),
         WorldCounts(visits=1, steps=50),
         WorldCounts(),
     ]
-    for cell, tally in ((0, 0), (0, 1), (7, 1), (143, 2)):
-        tallies[tally].cells[cell] = 10 + cell
-    tallies[0].touches["heavy"], tallies[2].touches["heavy"], tallies[2].touches["wall"] = 3, 4, 5
-    tallies[2].stuck["corner"] = StuckCount(2, 40)
-    return summarise(config, record, sample_pool(4, SandboxConfig(), seed=0), tallies)
+    for cell, count in ((0, 0), (0, 1), (7, 1), (143, 2)):
+        counts[count].cells[cell] = 10 + cell
+    counts[0].touches["heavy"], counts[2].touches["heavy"], counts[2].touches["wall"] = 3, 4, 5
+    counts[2].stuck["corner"] = StuckCount(2, 40)
+    return summarise(config, record, sample_pool(4, SandboxConfig(), seed=0), counts)
 
 
 def test_counts_are_added_up_and_what_is_no_number_is_null() -> None:
@@ -83,8 +83,8 @@ def test_the_tables_tell_fresh_worlds_from_losses_that_are_none(tmp_path: Path) 
 
 def test_of_a_long_run_the_last_stays_are_listed(tmp_path: Path) -> None:
     text = shown(tmp_path, summed_up(CollectConfig(), [0.5, 0.25, 0.125, 1.0], stays=98))
-    assert f"the last {MOST_STAYS} of 100 stays" in text
-    assert text.count("learned") == MOST_STAYS + 1  # and once in the sum of all reasons
+    assert f"the last {MOST_SEGMENTS} of 100 segments" in text
+    assert text.count("learned") == MOST_SEGMENTS + 1  # and once in the sum of all reasons
 
 
 def test_a_log_without_a_summary_is_refused(tmp_path: Path) -> None:
