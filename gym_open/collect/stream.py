@@ -95,8 +95,8 @@ class ExplorationStream:
         position = self.position
         return SegmentStart(
             index=position.segment, first_step=position.step - position.segment_step,
-            segment_step=position.segment_step, world=position.world, puzzle=self._pool.puzzles[position.world], continued=position.continued,
-            object_names=INVENTORY, object_state=self._world.object_state(),
+            segment_step=position.segment_step, world=position.world, puzzle=self._pool.puzzles[position.world],
+            continued=position.continued, object_names=INVENTORY, object_state=self._world.object_state(),
             integration_state=self._world.save_state(), image=self._world.observe(),
             depth=self._depth(), segmentation=self._segmentation(),
         )  # fmt: skip
