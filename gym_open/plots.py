@@ -22,6 +22,8 @@ BLUE, SKY, ORANGE, VERMILION, GREEN, PURPLE, YELLOW, BLACK, GREY = (
     "#0072B2", "#56B4E9", "#E69F00", "#D55E00", "#009E73", "#CC79A7", "#F0E442", "#000000", "#777777",
 )  # fmt: skip
 """Okabe and Ito's palette, which colour-blind readers can tell apart, and a grey."""
+_AGENT_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILION, YELLOW, "#999999")
+_AGENT_LINES = ("-", "--", "-.", ":")
 _WEST, _NORTH = CELL_0[0] - PITCH / 2, CELL_0[1] + PITCH / 2
 CELLS_EXTENT = (_WEST, _WEST + COLUMNS * PITCH, _NORTH - ROWS * PITCH, _NORTH)
 """West, east, south and north edge of the placement grid, in metres."""
@@ -31,6 +33,11 @@ def rgb(colour: str) -> tuple[int, int, int]:
     """Three bytes of a colour that is given as `#RRGGBB`."""
     red, green, blue = bytes.fromhex(colour[1:])
     return red, green, blue
+
+
+def agent_style(number: int) -> tuple[str, str]:
+    """Return colour and line style of the agent with this number; the ninth has the colour of the first again."""
+    return _AGENT_COLOURS[number % len(_AGENT_COLOURS)], _AGENT_LINES[number % len(_AGENT_LINES)]
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Stage 4: policies are scored on the fixed puzzles; A-Success and the task-free proof."""
+"""Stage 4: scores of policies on the fixed puzzles, with A-Success and the task-free proof."""
 
 from gym_open.results.metrics import a_success, mean_return_within
 

@@ -1,7 +1,7 @@
-"""A person plays the fixed puzzles with the keyboard, is logged like any explorer and scored like any policy.
+"""A person plays the fixed puzzles with the keyboard, is logged like an explorer and scored like a policy.
 
-What is kept while it goes on is the moves alone, after every one of them. When the last puzzle is over, they are played
-again in a fresh world, and log and scores are written of that: the same moves give the same bits.
+During play, only the moves are saved, after each move. After the last puzzle they are replayed in a new world, and the
+replay is logged and scored: the same moves give the same bits.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -32,20 +32,20 @@ from gym_open.formats.scores import Scores
 from gym_open.hardware import hardware
 
 if TYPE_CHECKING:
-    from gym_open.evaluate.human_window import Window
+    from gym_open.evaluate.human_window import PlayWindow
 
 LOG = log_name(0, 0)
 SIDE = 672
-"""Pixels of the window's edge at first."""
+"""Edge of the window in pixels when it opens."""
 PAUSE_S = 0.8
-"""How long the end of a puzzle is shown."""
+"""Seconds for which the end of a puzzle is shown."""
 HELP = """\
 Each press of a key is a move of one cell:
     Q W E        7 8 9
     A   D   or   4   6  on the number pad,  or the arrow keys
     Z X C        1 2 3
 Fewer moves score higher. Esc or a closed window stops; the same command goes on from there."""
-"""What is printed when a window opens."""
+"""Printed when a window opens."""
 AIMS: dict[Task, str] = {
     "goal-seeking": "touch yellow",
     "preferences": "touch green and yellow, green is worth more",
@@ -55,44 +55,44 @@ AIMS: dict[Task, str] = {
 
 
 class HumanConfig(Config, frozen=True, kw_only=True):
-    """Who plays what, and what the person sees."""
+    """Who plays which puzzles, and what the person sees."""
 
     task: Literal["goal-seeking", "preferences", "avoidance", "tool-use"] = "goal-seeking"
     """Task whose fixed puzzles are played."""
     split: Split = "test"
-    """The set: `test` is what policies are scored on, `validation` is there to practise."""
+    """Set of puzzles: policies are scored on `test`; `validation` is for practice."""
     puzzles: tuple[Count, Count] = (0, PER_SET)
-    """First puzzle, and the one after the last."""
+    """First puzzle, and last puzzle + 1."""
     player: Annotated[str, Meta(min_length=1, max_length=80)] = "player"
     """Name in the record."""
     picture: Literal["sharp", "agent"] = "sharp"
-    """Drawn in the window's pixels, or as a policy sees it: 84×84, enlarged."""
+    """Draw at the window's resolution (`sharp`), or the 84×84 image that a policy sees, enlarged (`agent`)."""
 
 
 class StoppedError(GymOpenError):
-    """The person closed the window before the last puzzle was over; what was played is kept."""
+    """The person closed the window before the end of the last puzzle; the moves so far are kept."""
 
 
-class Round(msgspec.Struct):
-    """What a person did in one puzzle so far."""
+class HumanEpisode(msgspec.Struct):
+    """A person's episode on one puzzle so far."""
 
     actions: list[int] = []
     rewards: list[float] = []
     terminated: bool = False
-    over: bool = False
+    ended: bool = msgspec.field(default=False, name="over")
 
 
 Save = Callable[[], None]
 
 
 def play_as_person(config: HumanConfig, out: Path) -> artefacts.Outcome:
-    """Let a person play, and write the scores: an artefact of kind `scores` with the log beside them.
+    """Let a person play, and write the scores: an artefact of kind `scores` that also holds the log.
 
     Payload: `scores.json` and `episodes.parquet` as `evaluate` writes them, and `stream-000-000.mcap`.
 
     Raises:
-        ConfigError: if the range of puzzles is none.
-        StoppedError: if the window was closed; the same call goes on from there.
+        ConfigError: if the range of puzzles is not valid.
+        StoppedError: if the window was closed; the same call continues from there.
         GymOpenError: if no window can be opened.
     """
     config = check(config, source="options")
@@ -109,11 +109,15 @@ def _work(config: HumanConfig, folder: Path) -> Mapping[str, Any]:
     puzzles = puzzles_of(config.task, config.split)[first:last]
     ids = [puzzle_id(config.task, config.split, i) for i in range(first, last)]
     record = folder / artefacts.SCRATCH / "played.json"
-    rounds = msgspec.json.decode(record.read_bytes(), type=list[Round]) if record.is_file() else [Round() for _ in ids]
-    if not all(one.over for one in rounds):
-        play_rounds(config, ids, puzzles, rounds, lambda: write_atomically(record, msgspec.json.encode(rounds)))
-    write_log(folder, config, puzzles, rounds)
-    write_scores(folder, config, ids, puzzles, rounds)
+    episodes = (
+        msgspec.json.decode(record.read_bytes(), type=list[HumanEpisode])
+        if record.is_file()
+        else [HumanEpisode() for _ in ids]
+    )
+    if not all(episode.ended for episode in episodes):
+        play_episodes(config, ids, puzzles, episodes, lambda: write_atomically(record, msgspec.json.encode(episodes)))
+    write_log(folder, config, puzzles, episodes)
+    write_scores(folder, config, ids, puzzles, episodes)
     return {
         "task": config.task,
         "agent": "human",
@@ -123,63 +127,64 @@ def _work(config: HumanConfig, folder: Path) -> Mapping[str, Any]:
     }
 
 
-def play_rounds(
-    config: HumanConfig, ids: Sequence[str], puzzles: Sequence[Puzzle], rounds: Sequence[Round], save: Save
+def play_episodes(
+    config: HumanConfig, ids: Sequence[str], puzzles: Sequence[Puzzle], episodes: Sequence[HumanEpisode], save: Save
 ) -> None:
-    """Open a window and let the person play what is not over yet; `save` is called after every move.
+    """Open a window and let the person play what has not ended yet; `save` is called after every move.
 
     Raises:
         StoppedError: if the window was closed.
     """
-    from gym_open.evaluate.human_window import Window
+    from gym_open.evaluate.human_window import PlayWindow
 
     side = SIDE if config.picture == "sharp" else WorldOptions().image_size
     env = OpenEnv(config.task, world=WorldOptions(image_size=side), render_mode="rgb_array")
     env.reset(options={"puzzle": puzzles[0]})
-    window = Window(env, SIDE / side)
+    window = PlayWindow(env, SIDE / side)
     progress.console.print(HELP, highlight=False, markup=False, soft_wrap=True)
     try:
-        for i, (puzzle, one) in enumerate(zip(puzzles, rounds, strict=True)):
-            if one.over:
+        for i, (puzzle, episode) in enumerate(zip(puzzles, episodes, strict=True)):
+            if episode.ended:
                 continue
             title = f"{ids[i]} ({i + 1} of {len(ids)}) {AIMS[config.task]}"
             env.reset(options={"puzzle": puzzle})
-            for action in one.actions:  # to where the person left it
+            for action in episode.actions:  # continue where the person stopped
                 env.step(action)
-            _play_on(env, window, one, title, save)
-            if not one.over:
-                played = sum(one.over for one in rounds)
+            _play_on(env, window, episode, title, save)
+            if not episode.ended:
+                played = sum(episode.ended for episode in episodes)
                 raise StoppedError(
-                    f"stopped after {played} of {len(ids)} puzzles; all that was played is kept, and the same command "
-                    f"goes on with {ids[i]}"
+                    f"stopped after {played} of {len(ids)} puzzles; all moves are kept, and the same command continues "
+                    f"with {ids[i]}"
                 )
-            window.pause(f"{title}: {'over' if one.terminated else 'out of steps'}, {sum(one.rewards):g}", PAUSE_S)
+            end = "finished" if episode.terminated else "out of steps"
+            window.pause(f"{title}: {end}, return {sum(episode.rewards):g}", PAUSE_S)
     finally:
         window.close()
 
 
-def _play_on(env: OpenEnv, window: "Window", one: Round, title: str, save: Save) -> None:
-    """Play until the puzzle is over or the window is closed."""
-    while not one.over:
-        left = step_budget(env.task) - len(one.actions)
+def _play_on(env: OpenEnv, window: "PlayWindow", episode: HumanEpisode, title: str, save: Save) -> None:
+    """Play until the episode ends or the window is closed."""
+    while not episode.ended:
+        left = step_budget(env.task) - len(episode.actions)
         action = window.next_move(f"{title}: {left} steps left")
         if action is None:
             return
         _, reward, terminated, truncated, _ = env.step(action)
-        one.actions.append(action)
-        one.rewards.append(float(reward))
-        one.terminated, one.over = terminated, terminated or truncated
+        episode.actions.append(action)
+        episode.rewards.append(float(reward))
+        episode.terminated, episode.ended = terminated, terminated or truncated
         save()
 
 
-def write_log(folder: Path, config: HumanConfig, puzzles: tuple[Puzzle, ...], rounds: Sequence[Round]) -> None:
-    """Play the rounds again and log them in `folder`: one stream, a segment a puzzle.
+def write_log(folder: Path, config: HumanConfig, puzzles: tuple[Puzzle, ...], episodes: Sequence[HumanEpisode]) -> None:
+    """Replay the episodes and log them in `folder`: one stream, one segment per puzzle.
 
-    A person has no intrinsic reward, world model, policy or value: these figures are NaN. The losses of the worlds are
-    infinite, as of any world that no model has seen.
+    A person has no intrinsic reward, world model, policy or value, so these numbers are NaN. The losses of the worlds
+    are infinite, as for every world that no model has seen.
 
     Raises:
-        ArtefactError: if a round does not end as it did (another machine, or changed packages).
+        ArtefactError: if the replay differs (another machine, or changed packages).
     """
     packages = {name: metadata.version(name) for name in ("mcap", "mujoco", "numba", "numpy")}
     provenance = {"code": artefacts.code_version("scores"), "player": config.player, **packages}
@@ -187,14 +192,16 @@ def write_log(folder: Path, config: HumanConfig, puzzles: tuple[Puzzle, ...], ro
     world, step = World(), 0
     with LogWriter(folder, LogHead(0, to_dict(config), puzzles, provenance, model_xml())) as log:
         log.switch(Switch(0, -1, 0, "start", unknown))
-        for i, (puzzle, one) in enumerate(zip(puzzles, rounds, strict=True)):
-            _log_round(log, world, puzzle, one, index=i, first_step=step)
-            step += len(one.actions)
+        for i, (puzzle, episode) in enumerate(zip(puzzles, episodes, strict=True)):
+            _log_episode(log, world, puzzle, episode, index=i, first_step=step)
+            step += len(episode.actions)
             following = i + 1 if i + 1 < len(puzzles) else -1
-            log.switch(Switch(step, i, following, "terminated" if one.terminated else "budget", unknown))
+            log.switch(Switch(step, i, following, "terminated" if episode.terminated else "budget", unknown))
 
 
-def _log_round(log: LogWriter, world: World, puzzle: Puzzle, one: Round, *, index: int, first_step: int) -> None:
+def _log_episode(
+    log: LogWriter, world: World, puzzle: Puzzle, episode: HumanEpisode, *, index: int, first_step: int
+) -> None:
     world.load(puzzle, recolour_hits=rewarded(puzzle.task))
     log.segment(
         SegmentStart(
@@ -204,7 +211,7 @@ def _log_round(log: LogWriter, world: World, puzzle: Puzzle, one: Round, *, inde
         )
     )  # fmt: skip
     hits, rewards, terminated = 0, list[float](), False
-    for i, action in enumerate(one.actions):
+    for i, action in enumerate(episode.actions):
         outcome = world.step(action)
         verdict = judge(puzzle.task, puzzle, hits, outcome)
         hits += len(outcome.hits)
@@ -216,31 +223,31 @@ def _log_round(log: LogWriter, world: World, puzzle: Puzzle, one: Round, *, inde
                 contacts=outcome.contacts, image=world.observe(),
             )
         )  # fmt: skip
-    if (rewards, terminated) != (one.rewards, one.terminated):
+    if (rewards, terminated) != (episode.rewards, episode.terminated):
         raise ArtefactError(
-            f"puzzle {index} of the range: the moves do not play out as they did when they were made (another machine, "
-            "or changed packages?), so they cannot be scored; move the unfinished folder away to start over"
+            f"puzzle {index} of the range: the replay of the moves differs from the play (another machine, or changed "
+            "packages?), so they cannot be scored; move the unfinished folder away to begin again"
         )
 
 
 def write_scores(
-    folder: Path, config: HumanConfig, ids: Sequence[str], puzzles: Sequence[Puzzle], rounds: Sequence[Round]
+    folder: Path, config: HumanConfig, ids: Sequence[str], puzzles: Sequence[Puzzle], episodes: Sequence[HumanEpisode]
 ) -> None:
-    """Write `scores.json` and `episodes.parquet` of rounds that are over."""
+    """Write `scores.json` and `episodes.parquet` of episodes that have ended."""
     N = step_budget(config.task)
-    episodes = Episodes(
-        actions=_table([one.actions for one in rounds], N, -1, np.int8),
-        rewards=_table([one.rewards for one in rounds], N, 0, np.float64),
-        steps=np.array([len(one.actions) for one in rounds]),
-        terminated=np.array([one.terminated for one in rounds]),
+    played = Episodes(
+        actions=_table([episode.actions for episode in episodes], N, -1, np.int8),
+        rewards=_table([episode.rewards for episode in episodes], N, 0, np.float64),
+        steps=np.array([len(episode.actions) for episode in episodes]),
+        terminated=np.array([episode.terminated for episode in episodes]),
     )
     record = Scores(
         task=config.task, split=config.split, agent="human", seed=None, evaluation_seed=None, trained=0,
         actions="keyboard", policy=None, proof=human_proof(), code=artefacts.code_version("scores"),
-        hardware=hardware(1), **scores.summarise(episodes),
+        hardware=hardware(1), **scores.summarise(played),
     )  # fmt: skip
     scores.write_scores(folder, record, {"player": config.player, "picture": config.picture})
-    scores.write_episodes(folder, ids, puzzles, episodes)
+    scores.write_episodes(folder, ids, puzzles, played)
 
 
 def _table(rows: Sequence[Sequence[float]], width: int, fill: float, kind: Any) -> np.ndarray:

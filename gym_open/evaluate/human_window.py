@@ -1,7 +1,7 @@
-"""The window in which a person plays: Gymnasium's `PlayableGame` with one move a key press.
+"""The window in which a person plays: Gymnasium's `PlayableGame` with one move per key press.
 
-Gymnasium's own loop, `gymnasium.utils.play.play`, repeats a move in every frame while a key is down and loses presses
-that are shorter than a frame; every move counts in a score here, so its window and drawing run in a loop of ours.
+Gymnasium's own loop, `gymnasium.utils.play.play`, repeats a move in every frame while a key is down, and loses presses
+that are shorter than a frame. Here every move counts, so this module has a loop of its own around Gymnasium's window.
 """
 
 import os
@@ -11,7 +11,7 @@ from typing import Any
 
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
 with warnings.catch_warnings():
-    # It asks Matplotlib for a window toolkit; without one it says that Matplotlib is not installed. Nothing is plotted.
+    # Without a window toolkit, Matplotlib is said to be missing; nothing is plotted here, so that does not matter.
     warnings.filterwarnings("ignore", message=".*matplotlib is not installed")
     from gymnasium.utils.play import PlayableGame, display_arr
 
@@ -32,16 +32,16 @@ KEYS: dict[int, tuple[int, ...]] = {
     7: (pygame.K_x, pygame.K_s, pygame.K_DOWN, pygame.K_KP2),
     8: (pygame.K_c, pygame.K_KP3),
 }
-"""Keys of each move; action 0 has none, since it lets no time pass."""
+"""Keys of each move; action 0 has no key, since it lets no time pass."""
 _ACTION = {key: action for action, keys in KEYS.items() for key in keys}
 
 
-class Window(PlayableGame):
+class PlayWindow(PlayableGame):
     """A window that shows `env`, which must have been reset, and turns key presses into moves.
 
     Args:
         env: with `render_mode="rgb_array"`.
-        zoom: how many times a pixel of the picture is enlarged.
+        zoom: factor by which the image is enlarged.
 
     Raises:
         GymOpenError: if there is no screen to open a window on.
@@ -52,7 +52,7 @@ class Window(PlayableGame):
         self._clock = pygame.time.Clock()
         try:
             pygame.display.init()
-            if pygame.display.get_driver() == "offscreen":  # SDL takes it by itself where it finds no screen
+            if pygame.display.get_driver() == "offscreen":  # SDL's own choice if there is no screen
                 raise pygame.error("there is no screen")
             super().__init__(env, {(key,): action for key, action in _ACTION.items()}, zoom)
         except pygame.error as error:
@@ -63,7 +63,7 @@ class Window(PlayableGame):
             ) from None
 
     def process_event(self, event: Any) -> None:
-        """One press, one move; the rest (closing, Esc, resizing) is Gymnasium's."""
+        """Turn a key press into one move; Gymnasium handles the rest (closing, Esc, resizing)."""
         if event.type in {pygame.KEYDOWN, pygame.KEYUP} and event.key in _ACTION:
             if event.type == pygame.KEYDOWN:
                 self._moves.append(_ACTION[event.key])
@@ -71,7 +71,7 @@ class Window(PlayableGame):
             super().process_event(event)
 
     def next_move(self, caption: str) -> int | None:
-        """Wait for a move; None when the window was closed or Esc pressed."""
+        """Wait for a move; return None if the window is closed or Esc is pressed."""
         while True:
             self._frame(caption)
             if not self.running:
@@ -80,7 +80,7 @@ class Window(PlayableGame):
                 return self._moves.popleft()
 
     def pause(self, caption: str, seconds: float) -> None:
-        """Show how it stands for a while; moves are not taken meanwhile."""
+        """Show the present state for some seconds; key presses are ignored meanwhile."""
         for _ in range(round(seconds * FRAMES_PER_S)):
             self._frame(caption)
         self._moves.clear()
@@ -91,9 +91,9 @@ class Window(PlayableGame):
 
     def _frame(self, caption: str) -> None:
         pygame.display.set_caption(caption)
-        picture = self.env.render()
-        assert isinstance(picture, np.ndarray)
-        display_arr(self.screen, picture, video_size=self.video_size, transpose=True)
+        image = self.env.render()
+        assert isinstance(image, np.ndarray)
+        display_arr(self.screen, image, video_size=self.video_size, transpose=True)
         pygame.display.flip()
         for event in pygame.event.get():
             self.process_event(event)

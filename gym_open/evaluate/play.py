@@ -1,4 +1,4 @@
-"""Score a policy, a uniformly random one, or the oracle, on the fixed puzzles of a task."""
+"""Score a policy, the random agent or the oracle on the fixed puzzles of a task."""
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -31,15 +31,15 @@ from gym_open.results.runs import PolicyFacts, policy_facts
 
 Actor = Callable[[np.ndarray], np.ndarray]
 """From images (B, 84, 84, 3) uint8, or states (B, `STATE_SIZE`) float32, to action probabilities (B, 9)."""
-Choice = Callable[[int, np.ndarray, np.ndarray], Sequence[int]]
-"""From the time step, the indices of the puzzles still played and what is seen of them to an action each."""
+ChooseActions = Callable[[int, np.ndarray, np.ndarray], Sequence[int]]
+"""From the time step, the indices of the running puzzles and their observations to an action for each."""
 
 _TURNS = 4
-"""Times that a thread comes back for more worlds in a step: they share the work out better."""
+"""Parts per thread into which the worlds of a step are divided, so that all threads finish at the same time."""
 
 
-class _Player(NamedTuple):
-    """Who plays, as the record has it."""
+class _PlayerRecord(NamedTuple):
+    """The player, as `scores.json` records it."""
 
     agent: str
     seed: int | None
@@ -56,33 +56,33 @@ def evaluate(
 ) -> artefacts.Outcome:
     """Play the fixed puzzles of a task and split and write the scores.
 
-    Payload: `scores.json` (who played, A-Success, mean returns, proof) and `episodes.parquet` (a row a puzzle, with
-    every action, so that each can be replayed).
+    Payload: `scores.json` (who played, A-Success, mean returns, proof) and `episodes.parquet` (a row per
+    puzzle, with every action, so that each episode can be replayed).
 
     Args:
-        config: task, split, way of choosing actions, seed; of these the oracle takes task and split.
+        config: task, split, way of choosing actions, seed; the oracle uses only task and split.
         policy: a policy artefact, or None for uniformly random actions.
         out: folder of the scores.
-        oracle: replay the puzzles' witnesses instead of asking a policy.
-        at: score the policy as it was at this checkpoint, one of those that its configuration asked for, in agent
-            steps; None is its end.
+        oracle: replay the puzzles' witnesses instead of using a policy.
+        at: score this checkpoint of the policy, in agent steps as in its configuration; None scores the end of the
+            training.
 
     Raises:
         ArtefactError: if the policy is damaged or was trained for another task.
-        UsageError: if both a policy and the oracle are asked for, the policy has no such checkpoint, or the likeliest
-            actions are asked for and there is no policy.
+        UsageError: if both a policy and the oracle are given, the policy has no such checkpoint, or greedy actions are
+            asked for without a policy.
     """
     if at is not None and policy is None:
-        raise UsageError(f"evaluate: --at {at} is a checkpoint of a policy, and there is none; give --policy")
+        raise UsageError(f"evaluate: --at {at} is a checkpoint of a policy, and there is no policy; give --policy")
     if oracle:
         if policy is not None:
-            raise UsageError(f"evaluate: the oracle needs no policy, got {policy}; leave one of the two out")
+            raise UsageError(f"evaluate: the oracle needs no policy, got {policy}; omit one of the two")
         return _evaluate_oracle(config, out)
     if policy is None:
         if config.actions == "greedy":
             raise UsageError(
-                "evaluate: `actions` greedy takes a policy's likeliest actions, and there is none; give --policy, or "
-                "--actions sampled for uniformly random ones"
+                "evaluate: `actions` greedy takes a policy's most likely actions, and there is no policy; give "
+                "--policy, or --actions sampled for uniformly random actions"
             )
         return _evaluate_random(config, out)
     return _evaluate_policy(config, policy, out, at)
@@ -107,7 +107,7 @@ def _evaluate_policy(config: EvaluateConfig, policy: Path, out: Path, at: int | 
     def work(partial: Path) -> Mapping[str, Any]:
         actor, states = load_actor(folder, config)
         episodes = play(actor, config.task, puzzles_of(config.task, config.split), config, states=states)
-        player = _Player(
+        player = _PlayerRecord(
             facts.agent, facts.seed, config.seed, trained, config.actions, link.digest, task_free_proof(link),
             facts.precision,
         )  # fmt: skip
@@ -118,13 +118,13 @@ def _evaluate_policy(config: EvaluateConfig, policy: Path, out: Path, at: int | 
 
 
 def _step(policy: Path, facts: PolicyFacts, at: int) -> int:
-    """Agent steps behind the checkpoint that was asked for."""
+    """Return the agent steps of the checkpoint that was asked for."""
     step = facts.steps_at(at)
     if step is None:
         there = ", ".join(f"{checkpoint.asked}" for checkpoint in facts.checkpoints) or "none"
         raise UsageError(
-            f"{policy}: no checkpoint at {at} steps; there are: {there}; the end, after {facts.steps} steps, is scored "
-            "without --at"
+            f"{policy}: no checkpoint at {at} steps; there are: {there}; the end of the training, after "
+            f"{facts.steps} steps, is scored without --at"
         )
     return step
 
@@ -132,7 +132,7 @@ def _step(policy: Path, facts: PolicyFacts, at: int) -> int:
 def _evaluate_random(config: EvaluateConfig, out: Path) -> artefacts.Outcome:
     def work(partial: Path) -> Mapping[str, Any]:
         episodes = play(uniform, config.task, puzzles_of(config.task, config.split), config)
-        player = _Player("random", config.seed, config.seed, 0, config.actions, None, task_free_proof(None))
+        player = _PlayerRecord("random", config.seed, config.seed, 0, config.actions, None, task_free_proof(None))
         return _write(partial, config, episodes, player, threads=config.threads)
 
     return artefacts.build(out, kind="scores", config=config, parents=[], work=work)
@@ -146,16 +146,16 @@ def _evaluate_oracle(config: EvaluateConfig, out: Path) -> artefacts.Outcome:
         witnesses = witnesses_of(config.task, config.split)
         puzzles = puzzles_of(config.task, config.split)
         episodes = replay(config.task, puzzles, [w.actions for w in witnesses])
-        player = _Player("oracle", None, None, 0, "witnesses", None, oracle_proof())
+        player = _PlayerRecord("oracle", None, None, 0, "witnesses", None, oracle_proof())
         return _write(partial, config, episodes, player, threads=1)
 
     return artefacts.build(out, kind="scores", config=key, parents=[], work=work)
 
 
 def _write(
-    folder: Path, config: EvaluateConfig, episodes: Episodes, player: _Player, *, threads: int
+    folder: Path, config: EvaluateConfig, episodes: Episodes, player: _PlayerRecord, *, threads: int
 ) -> Mapping[str, Any]:
-    """Write the payload and return the facts."""
+    """Write the payload and return the facts of the lineage."""
     puzzles = puzzles_of(config.task, config.split)
     record = Scores(
         task=config.task,
@@ -174,20 +174,20 @@ def _write(
 def play(
     actor: Actor, task: Task, puzzles: tuple[Puzzle, ...], config: EvaluateConfig, *, states: bool = False
 ) -> Episodes:
-    """Play every puzzle once, all side by side; each has its own named generator, so that order does not matter.
+    """Play every puzzle once, all at the same time; each has its own named generator, so order does not matter.
 
     Args:
-        actor: who plays.
-        task: what is paid.
-        puzzles: where.
+        actor: gives the action probabilities.
+        task: sets the rewards.
+        puzzles: the puzzles.
         config: way of choosing actions, seed, threads.
-        states: show the actor the simulation's states, not pictures.
+        states: give the actor the simulator states instead of images.
     """
     return _episodes(chooser(actor, task, len(puzzles), config), task, puzzles, threads=config.threads, states=states)
 
 
-def chooser(actor: Actor, task: Task, n: int, config: EvaluateConfig) -> Choice:
-    """How the actor's probabilities become the actions that are played in n puzzles, and scored."""
+def chooser(actor: Actor, task: Task, n: int, config: EvaluateConfig) -> ChooseActions:
+    """Return a function that turns the actor's probabilities into the actions in n puzzles."""
     rngs = [action_generator(config.seed, task, i) for i in range(n)]
 
     def choose(_: int, running: np.ndarray, seen: np.ndarray) -> list[int]:
@@ -198,7 +198,7 @@ def chooser(actor: Actor, task: Task, n: int, config: EvaluateConfig) -> Choice:
 
 
 def replay(task: Task, puzzles: tuple[Puzzle, ...], sequences: Sequence[Sequence[int]]) -> Episodes:
-    """Play a given sequence of actions in every puzzle, and nothing (action 0) behind its end."""
+    """Play a given sequence of actions in every puzzle, and action 0 (no move) after its end."""
 
     def choose(t: int, running: np.ndarray, _: np.ndarray) -> list[int]:
         return [sequences[i][t] if t < len(sequences[i]) else 0 for i in running]
@@ -207,9 +207,9 @@ def replay(task: Task, puzzles: tuple[Puzzle, ...], sequences: Sequence[Sequence
 
 
 def _episodes(
-    choose: Choice, task: Task, puzzles: tuple[Puzzle, ...], *, threads: int, states: bool = False
+    choose: ChooseActions, task: Task, puzzles: tuple[Puzzle, ...], *, threads: int, states: bool = False
 ) -> Episodes:
-    """Play until the last puzzle is over; a world whose puzzle is over is neither stepped nor drawn."""
+    """Play until all episodes have ended; the world of an ended episode is neither stepped nor drawn."""
     n, N = len(puzzles), step_budget(task)
     with progress.doing("preparing the puzzles", progress.COMPILES):
         envs = [OpenEnv(task) for _ in puzzles]
@@ -240,17 +240,17 @@ def _episodes(
 
 
 def _shares(running: np.ndarray, threads: int) -> list[tuple[int, int]]:
-    """The running worlds in parts for threads: of each the first, and the one after the last."""
+    """Divide the running worlds into parts for threads; return the first world and the last + 1 of each part."""
     parts = np.array_split(running, threads * _TURNS) if threads > 1 else [running]
     return [(int(part[0]), int(part[-1]) + 1) for part in parts if part.size]
 
 
 def uniform(images: np.ndarray) -> np.ndarray:
-    """The random agent: every action is as likely, whatever is seen."""
+    """Return the random agent's probabilities: all actions are equally likely."""
     return np.full((len(images), N_ACTIONS), 1 / N_ACTIONS)
 
 
 def load_actor(folder: Path, config: EvaluateConfig) -> tuple[Actor, bool]:
-    """The policy in a folder, and whether it sees states in place of pictures."""
+    """Return the policy in a folder, and whether it sees the simulator state instead of images."""
     judge, states = load_policy_function(folder, config.threads)
     return lambda seen: judge(seen)[0], states

@@ -1,10 +1,13 @@
-"""The task-free proof: nothing that an encoder learned from knew of a task, a reward or an evaluation puzzle.
+"""The task-free proof: an encoder learned from no task, no extrinsic reward and no evaluation puzzle.
 
-The chain policy → encoder → release → log is walked in the lineage that the policy carries; a policy that starts from
-an explorer's own encoder goes on from the log itself, and a release may be made of other releases, down to their logs.
-Each link's digest is recomputed from the records in it, so that a record changed afterwards breaks the chain.
+The chain policy → encoder → release → log is followed in the lineage of the policy. If a policy starts from an
+explorer's own encoder, the log follows the policy directly. A release may be made of other releases, down to their
+logs. The digest of each link is recomputed from its records, so a record that was changed later breaks the chain.
 
-What no record can show is who wrote them: see `Proof.rests_on`.
+No record can show who wrote the records: see `Proof.rests_on`.
+
+The texts of a proof are part of `scores.json`, and `gym-open score verify` compares them: another wording would refuse
+all scores that were published before.
 """
 
 from collections.abc import Iterator
@@ -18,25 +21,25 @@ from gym_open.formats.scores import Proof
 from gym_open.results.runs import PolicyFacts
 
 _BELOW = {"policy": ("encoder", "log"), "encoder": ("release",), "release": ("log", "release"), "log": ()}
-"""What each kind of link may be made of."""
+"""Kinds of parents that each kind of link may have."""
 _WEIGHTS = "model.safetensors"
 _OWN = f"encoder/{_WEIGHTS}"
-"""Of a log: what its explorer's encoder had become."""
+"""File in a log: the explorer's encoder at the end."""
 _PAYLOAD = {
     "policy": (_WEIGHTS, "model.json"), "encoder": (_WEIGHTS, "model.json"),
     "release": ("meta/info.json",), "log": ("summary.json",),
 }  # fmt: skip
-"""Files without which an artefact is none of its kind."""
+"""Files that every artefact of a kind has."""
 _LEARNED_FROM = {"none": [], "offline": ["encoder"], "online": ["log"]}
-"""Parents of a policy, by what its facts say of its encoder."""
+"""Kinds of the parents of a policy, by the fact `encoder`."""
 
 
 def task_free_proof(policy: Parent | None, *, evaluator: str | None = None) -> Proof:
-    """Walk from a policy's records down to the logs its encoder was learned from (None: a random agent).
+    """Follow a policy's records down to the logs that its encoder learned from (None: a random agent).
 
     Args:
-        policy: records of a policy's folder, or the parent in the lineage of its scores: they are the same.
-        evaluator: version of the code that scored it; by default this one.
+        policy: records in a policy's folder, or the parent in the lineage of its scores; they are the same.
+        evaluator: version of the code that scored the policy; by default this version.
     """
     evaluator = evaluator or code_version("scores")
     if policy is None:
@@ -61,13 +64,13 @@ def task_free_proof(policy: Parent | None, *, evaluator: str | None = None) -> P
 
 
 def oracle_proof() -> Proof:
-    """What can be said of the oracle: nothing of the kind, since it was made from the very puzzles that it plays."""
+    """Return the proof of the oracle, which does not apply: the oracle was made from the puzzles that it plays."""
     reason = "the oracle replays action sequences that a planner found in these very puzzles, seeing their full state"
     return Proof(verdict="not applicable", reasons=[reason], chain=[])
 
 
 def human_proof() -> Proof:
-    """What can be said of a person: nothing of the kind."""
+    """Return the proof of a person: there is no encoder."""
     return Proof(verdict="no encoder", reasons=["a person played: no policy, and nothing learned from logs"], chain=[])
 
 
@@ -161,7 +164,7 @@ def _faults_of_log(link: Parent) -> Iterator[str]:
 
 
 def _words(value: Any) -> set[str]:
-    """The texts in a list; an empty set if it is none, or holds something else."""
+    """Return the texts in a list; an empty set if it is no list, or has anything else."""
     return set(value) if isinstance(value, list) and all(isinstance(item, str) for item in value) else set()
 
 

@@ -1,4 +1,4 @@
-"""Scores worked out of played episodes, and written as `formats.scores` has them."""
+"""Scores of played episodes, computed and written in the format of `formats.scores`."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,9 +14,9 @@ from gym_open.results.metrics import a_success, mean_return_within
 
 
 class Episodes(msgspec.Struct, frozen=True):
-    """What was played: row i of every array is puzzle i.
+    """Played episodes: row i of every array is puzzle i.
 
-    `actions` and `rewards` have shape (puzzles, N); behind an episode's end actions are −1 and rewards 0.
+    `actions` and `rewards` have shape (puzzles, N); after the end of an episode, actions are −1 and rewards 0.
     """
 
     actions: np.ndarray
@@ -26,10 +26,10 @@ class Episodes(msgspec.Struct, frozen=True):
 
 
 def summarise(episodes: Episodes) -> dict[str, Any]:
-    """The numbers of `Scores`, from `a_success` to `puzzles`, of two or more played episodes.
+    """Compute the numbers of `Scores`, from `a_success` to `puzzles`, for two or more played episodes.
 
-    A-Success is linear in the rewards, so it is the mean of the puzzles' own values, and the interval follows from
-    their spread. It says how far another draw of puzzles might lead, not another training seed.
+    A-Success is linear in the rewards, so it is the mean of the values of single puzzles, and the interval follows from
+    their spread. The interval covers another draw of puzzles, not another training seed.
     """
     s = mean_return_within(episodes.rewards)
     per_puzzle = np.array([a_success(np.cumsum(row)) for row in episodes.rewards])
@@ -44,13 +44,13 @@ def summarise(episodes: Episodes) -> dict[str, Any]:
 
 
 def write_scores(folder: Path, record: Scores, also: Mapping[str, Any] | None = None) -> None:
-    """Write `scores.json`, with further fields `also` if there are any."""
+    """Write `scores.json`, with the further fields in `also`."""
     fields = {**msgspec.to_builtins(record), **(also or {})}
     (folder / RECORD).write_bytes(artefacts.canonical_json(fields))
 
 
 def write_episodes(folder: Path, ids: Sequence[str], puzzles: Sequence[Puzzle], episodes: Episodes) -> None:
-    """Write `episodes.parquet`: a row a puzzle, with every action and reward until its end."""
+    """Write `episodes.parquet`: a row per puzzle, with every action and reward up to the end of the episode."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

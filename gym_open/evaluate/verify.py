@@ -1,4 +1,4 @@
-"""Scores verified: whatever they claim is worked out anew, every episode played again, and its actions chosen again."""
+"""Verification of scores: compute every claim again, replay every episode and choose its actions again."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,40 +25,40 @@ from gym_open.formats.scores import EPISODES, RECORD, Proof, Scores, read_episod
 from gym_open.replay.episodes import puzzle_of, refused, replay_row
 from gym_open.results.runs import policy_facts, rewards_of
 
-Row = dict[str, Any]
+EpisodeRow = dict[str, Any]
 
 _TOLERANCE = 1e-9
-"""Of what is a sum of the same numbers: another version of NumPy may add them in another order."""
+"""Allowed difference of sums of the same numbers: another version of NumPy may add them in another order."""
 AnyConfig = EvaluateConfig | OracleConfig | HumanConfig
 _KINDS: dict[str, type[AnyConfig]] = {
     "at": CheckpointConfig, "witnesses": OracleConfig, "player": HumanConfig,
 }  # fmt: skip
-"""Configuration of scores, by a key that no other has."""
+"""Type of the configuration of scores, by a key that no other type has."""
 
 
-class Verified(NamedTuple):
-    """Scores in which nothing was found wrong."""
+class VerifiedScores(NamedTuple):
+    """Scores in which no error was found."""
 
     scores: Scores
     chosen: str
-    """What was shown of who chose the actions, to be told with them."""
+    """What the check showed about who chose the actions; to be printed with the scores."""
 
 
-def verify_scores(scores: Path, policy: Path | None = None) -> Verified:
-    """Work out anew everything that scores claim: bytes, episodes, numbers, who played, and the task-free proof.
+def verify_scores(scores: Path, policy: Path | None = None) -> VerifiedScores:
+    """Check everything that scores claim: bytes, episodes, numbers, player, and the task-free proof.
 
-    The actions of the random agent are drawn again, those of the oracle held against the witnesses. Those of a policy
-    are chosen again if its folder is given; a machine of another type may round its probabilities otherwise.
+    The actions of the random agent are drawn again; those of the oracle are compared with the witnesses. The actions of
+    a policy are chosen again if its folder is given; a machine of another type may round its probabilities differently.
 
     Args:
         scores: a scores artefact.
         policy: the policy that was scored.
 
     Raises:
-        ArtefactError: naming the first file, field and value that does not follow from the others, or the step at which
-            another action is chosen.
+        ArtefactError: naming the first file, field and value that does not follow from the others, or the first step
+            at which another action is chosen.
     """
-    claim = _Claim(scores, read_scores(scores), _config(scores), read_episodes(scores))
+    claim = _ClaimedScores(scores, read_scores(scores), _config(scores), read_episodes(scores))
     record, lineage = claim.record, artefacts.lineage(scores)
     parent = lineage.parents[0] if lineage.parents else None
     puzzles = _puzzles(claim)
@@ -66,7 +66,7 @@ def verify_scores(scores: Path, policy: Path | None = None) -> Verified:
         record.agent not in {"random", "oracle", "human"} or isinstance(claim.config, CheckpointConfig)
     ):
         raise ArtefactError(
-            f"{scores / artefacts.LINEAGE}: scores of {record.agent!r} that name no policy: the chain is cut; "
+            f"{scores / artefacts.LINEAGE}: scores of {record.agent!r} that name no policy, so the chain is broken; "
             "evaluate again"
         )
     numbers, origin = _numbers(claim), {"task": claim.config.task, "split": claim.config.split, "code": lineage.code}
@@ -78,26 +78,26 @@ def verify_scores(scores: Path, policy: Path | None = None) -> Verified:
         for puzzle, row in zip(puzzles, claim.rows, strict=True):
             replay_row(claim.file, puzzle, row)
             bar.advance()
-    return Verified(record, chosen)
+    return VerifiedScores(record, chosen)
 
 
 @dataclass(frozen=True)
-class _Claim:
-    """What scores say, as it was read."""
+class _ClaimedScores:
+    """The content of scores as it was read."""
 
     scores: Path
     record: Scores
     config: AnyConfig
-    rows: list[Row]
+    rows: list[EpisodeRow]
 
     @property
     def file(self) -> Path:
-        """Of the rows."""
+        """File of the rows."""
         return self.scores / EPISODES
 
 
 def _config(scores: Path) -> AnyConfig:
-    """The configuration of scores, which says what kind of player they are of."""
+    """Read the configuration of scores; its type depends on the kind of player."""
     raw = artefacts.config_of(scores)
     kind = next((kind for key, kind in _KINDS.items() if key in raw), EvaluateConfig)
     try:
@@ -106,8 +106,8 @@ def _config(scores: Path) -> AnyConfig:
         raise ArtefactError(f"{error}; evaluate again") from None
 
 
-def _puzzles(claim: _Claim) -> tuple[Puzzle, ...]:
-    """The puzzles that were played: all of the set, or those that a person was to play."""
+def _puzzles(claim: _ClaimedScores) -> tuple[Puzzle, ...]:
+    """Return the puzzles that were played: the whole set, or the range that a person chose."""
     record, found = claim.record, [row["puzzle"] for row in claim.rows]
     first, last = claim.config.puzzles if isinstance(claim.config, HumanConfig) else (0, PER_SET)
     if not found or found != [puzzle_id(record.task, record.split, i) for i in range(PER_SET)][first:last]:
@@ -118,8 +118,8 @@ def _puzzles(claim: _Claim) -> tuple[Puzzle, ...]:
     return tuple(puzzle_of(claim.file, record, row) for row in claim.rows)
 
 
-def _numbers(claim: _Claim) -> dict[str, Any]:
-    """What the record must say of its episodes, once each says the same of itself."""
+def _numbers(claim: _ClaimedScores) -> dict[str, Any]:
+    """Return the numbers of the record that follow from the episodes, after checking each episode."""
     record, rows = claim.record, claim.rows
     N = step_budget(record.task)
     rewards = rewards_of(claim.file, rows, N)
@@ -127,8 +127,8 @@ def _numbers(claim: _Claim) -> dict[str, Any]:
     return summarise(Episodes(np.zeros((len(rows), N), np.int8), rewards, steps, terminated))
 
 
-def _player(claim: _Claim, parent: Parent | None) -> dict[str, Any]:
-    """What the record must say of who played, by the artefact's configuration and lineage."""
+def _player(claim: _ClaimedScores, parent: Parent | None) -> dict[str, Any]:
+    """Return the fields of the record that follow from the artefact's configuration and lineage."""
     record, none = claim.record, {"policy": None, "trained": 0, "seed": None, "evaluation_seed": None}
     match claim.config:
         case OracleConfig() as config:
@@ -150,8 +150,8 @@ def _player(claim: _Claim, parent: Parent | None) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _proof(claim: _Claim, parent: Parent | None) -> Proof:
-    """What the lineage gives today."""
+def _proof(claim: _ClaimedScores, parent: Parent | None) -> Proof:
+    """Return the proof that the lineage gives now."""
     match claim.config:
         case OracleConfig():
             return oracle_proof()
@@ -161,14 +161,14 @@ def _proof(claim: _Claim, parent: Parent | None) -> Proof:
             return task_free_proof(parent, evaluator=claim.record.code)
 
 
-def _choose_again(claim: _Claim, policy: Path | None, puzzles: tuple[Puzzle, ...]) -> str:
-    """Hold the recorded actions against those of who is said to have played; says what that shows."""
+def _choose_again(claim: _ClaimedScores, policy: Path | None, puzzles: tuple[Puzzle, ...]) -> str:
+    """Compare the recorded actions with those of the named player; return what that shows."""
     record = claim.record
     if policy is not None and record.policy is None:
-        raise ArtefactError(f"{claim.scores}: scores of {record.agent}, which is no policy; leave --policy out")
+        raise ArtefactError(f"{claim.scores}: scores of {record.agent}, which is no policy; omit --policy")
     match claim.config:
         case HumanConfig():
-            return "that a person chose the actions is their word"
+            return "nothing proves that a person chose the actions"
         case OracleConfig():
             witnesses = witnesses_of(record.task, record.split)[: len(puzzles)]
             _check_actions(claim, "the witness", [witness.actions for witness in witnesses])
@@ -177,25 +177,25 @@ def _choose_again(claim: _Claim, policy: Path | None, puzzles: tuple[Puzzle, ...
             _check_actions(claim, f"the random agent of seed {config.seed}", _drawn(config, claim.rows))
             return f"every action was drawn again from seed {config.seed}"
     if policy is None:
-        return "that the policy chose these actions was not shown: give --policy FOLDER, and it chooses again"
+        return "not checked that the policy chose these actions; give --policy FOLDER to check it"
     _check_actions(claim, "the policy", _of_policy(record, config, policy, puzzles))
     return "the policy chose every action again"
 
 
-def _drawn(config: EvaluateConfig, rows: list[Row]) -> list[list[int]]:
-    """The random agent's actions: they depend on nothing that it sees."""
+def _drawn(config: EvaluateConfig, rows: list[EpisodeRow]) -> list[list[int]]:
+    """Draw the random agent's actions, which do not depend on observations."""
     choose = chooser(uniform, config.task, len(rows), config)
     return [[choose(t, np.array([i]), np.empty((1, 0)))[0] for t in range(row["steps"])] for i, row in enumerate(rows)]
 
 
 def _of_policy(record: Scores, config: EvaluateConfig, policy: Path, puzzles: tuple[Puzzle, ...]) -> list[list[int]]:
-    """What the policy does in the puzzles, if it is the one that was scored."""
+    """Return the policy's actions in the puzzles, after checking that it is the policy that was scored."""
     from gym_open.formats.models import policy_folder
 
     found = artefacts.verify(policy, "policy")
     if found != record.policy:
         raise ArtefactError(
-            f"{policy}: its digest is {found}, but the scores are of the policy {record.policy}; give that one"
+            f"{policy}: its digest is {found}, but the scores are of the policy {record.policy}; give that policy"
         )
     folder = policy_folder(policy, record.trained) if isinstance(config, CheckpointConfig) else policy
     actor, states = load_actor(folder, config)
@@ -203,7 +203,7 @@ def _of_policy(record: Scores, config: EvaluateConfig, policy: Path, puzzles: tu
     return [row[:steps].tolist() for row, steps in zip(played.actions, played.steps, strict=True)]
 
 
-def _check_actions(claim: _Claim, who: str, chosen: Sequence[Sequence[int]]) -> None:
+def _check_actions(claim: _ClaimedScores, who: str, chosen: Sequence[Sequence[int]]) -> None:
     for row, expected in zip(claim.rows, chosen, strict=True):
         for step, (found, action) in enumerate(zip(row["actions"], expected, strict=False), 1):
             if found != action:

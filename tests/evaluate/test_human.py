@@ -41,7 +41,7 @@ def at_keyboard() -> Iterator[Callable[[Iterator[int | None]], None]]:
     """Takes what the person does whenever the window waits: keys, or None to close it."""
     from gym_open.evaluate import human, human_window
 
-    wait = human_window.Window.next_move
+    wait = human_window.PlayWindow.next_move
     patch = pytest.MonkeyPatch()
     patch.setenv("SDL_VIDEODRIVER", "dummy")  # no screen is needed
     patch.setattr(human_window, "FRAMES_PER_S", 100_000)
@@ -54,7 +54,7 @@ def at_keyboard() -> Iterator[Callable[[Iterator[int | None]], None]]:
                 pygame.event.post(pygame.event.Event(pygame.QUIT)) if key is None else press(key)
             return wait(window, caption)
 
-        patch.setattr(human_window.Window, "next_move", pressed)
+        patch.setattr(human_window.PlayWindow, "next_move", pressed)
 
     yield sits_down
     patch.undo()
@@ -162,8 +162,8 @@ def test_a_closed_window_loses_nothing(at_keyboard: Any, scores: Path, tmp_path:
     out = tmp_path / "again"
     first = len(keys) - 100
     for part, message in (
-        ([*keys[:1], None], rf"stopped after 0 of 2 puzzles.*goes on with {TASK}/003"),
-        ([*keys[1 : first + 40], None], rf"stopped after 1 of 2 puzzles.*goes on with {TASK}/004"),
+        ([*keys[:1], None], rf"stopped after 0 of 2 puzzles.*continues with {TASK}/003"),
+        ([*keys[1 : first + 40], None], rf"stopped after 1 of 2 puzzles.*continues with {TASK}/004"),
     ):
         with pytest.raises(StoppedError, match=message):
             played(at_keyboard, out, part)
@@ -204,16 +204,16 @@ def test_the_window_shows_the_world(
     at_keyboard: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, picture: Any
 ) -> None:
     """What the window holds, shrunk to a policy's pixels, is about the policy's picture."""
-    from gym_open.evaluate.human_window import Window
+    from gym_open.evaluate.human_window import PlayWindow
 
     shown: list[np.ndarray] = []
-    frame = Window._frame
+    frame = PlayWindow._frame
 
     def watched(window: Any, caption: str) -> None:
         frame(window, caption)
         shown.append(pygame.surfarray.array3d(window.screen).swapaxes(0, 1))
 
-    monkeypatch.setattr(Window, "_frame", watched)
+    monkeypatch.setattr(PlayWindow, "_frame", watched)
     with pytest.raises(StoppedError):
         played(at_keyboard, tmp_path / "scores", [None], picture=picture)
     world = World()

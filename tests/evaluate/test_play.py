@@ -132,7 +132,7 @@ def test_a_replay_does_nothing_behind_the_sequence() -> None:
 
 
 def test_the_oracle_takes_no_policy(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="leave one of the two out"):
+    with pytest.raises(UsageError, match="omit one of the two"):
         evaluate(EvaluateConfig(), tmp_path / "policy", tmp_path / "scores", oracle=True)
 
 
@@ -237,9 +237,11 @@ def test_scores_of_a_checkpoint_are_not_taken_for_those_of_the_end(policy: Path,
 
 
 def test_a_checkpoint_that_was_not_reached_is_named_with_those_that_are_there(policy: Path, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="no checkpoint at 10000 steps; there are: 20; the end, after 64 steps"):
+    with pytest.raises(
+        UsageError, match="no checkpoint at 10000 steps; there are: 20; the end of the training, after 64 steps"
+    ):
         evaluate(EvaluateConfig(), policy, tmp_path / "scores", at=10_000)
-    with pytest.raises(UsageError, match="--at 20 is a checkpoint of a policy, and there is none"):
+    with pytest.raises(UsageError, match="--at 20 is a checkpoint of a policy, and there is no policy"):
         evaluate(EvaluateConfig(), None, tmp_path / "scores", at=20)
 
 

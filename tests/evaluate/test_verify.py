@@ -18,7 +18,7 @@ from gym_open.envs.puzzles.sets import Split, puzzles_of
 from gym_open.errors import ArtefactError
 from gym_open.evaluate import play, verify
 from gym_open.evaluate.config import EvaluateConfig
-from gym_open.evaluate.human import HumanConfig, Round, write_scores
+from gym_open.evaluate.human import HumanConfig, HumanEpisode, write_scores
 from gym_open.evaluate.play import evaluate
 from gym_open.evaluate.verify import verify_scores
 from gym_open.files import sha256_file
@@ -58,7 +58,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Path]:
     oracle = evaluate(CONFIG, None, root / "oracle", oracle=True).path
     person = HumanConfig(task="avoidance", puzzles=(0, N))
     rows = pq.read_table(oracle / EPISODES).to_pylist()
-    rounds = [Round(row["actions"], row["rewards"], row["terminated"], over=True) for row in rows]
+    rounds = [HumanEpisode(row["actions"], row["rewards"], row["terminated"], ended=True) for row in rows]
 
     def played(folder: Path) -> Mapping[str, Any]:
         write_scores(folder, person, [row["puzzle"] for row in rows], puzzles_of("avoidance", "test")[:N], rounds)
@@ -100,8 +100,8 @@ def reseal(folder: Path) -> Path:
     [
         ("random", None, "every action was drawn again from seed 3"),
         ("oracle", None, "every action is the witness's"),
-        ("human", None, "that a person chose the actions is their word"),
-        ("policy", None, "that the policy chose these actions was not shown: give --policy"),
+        ("human", None, "nothing proves that a person chose the actions"),
+        ("policy", None, "not checked that the policy chose these actions; give --policy"),
         ("policy", "weights", "the policy chose every action again"),
         ("checkpoint", "weights", "the policy chose every action again"),
     ],
@@ -115,7 +115,7 @@ def test_honest_scores_say_what_was_shown_of_who_chose(
 def test_the_command_tells_it(made: Mapping[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
     scores, policy = str(made["policy"]), str(made["weights"])
     assert main(["score", "verify", scores]) == 0
-    assert "that the policy chose these actions was not shown" in capsys.readouterr().out
+    assert "not checked that the policy chose these actions" in capsys.readouterr().out
     assert main(["score", "verify", scores, "--policy", policy]) == 0
     assert "the policy chose every action again" in capsys.readouterr().out
     assert main(["score", "verify", scores, "--policy", policy, "--puzzle", "avoidance/000"]) == 2
@@ -137,15 +137,15 @@ def test_worse_episodes_under_the_oracles_name(made: Mapping[str, Path], tmp_pat
 @pytest.mark.parametrize(("name", "better"), [("policy", "oracle"), ("policy", "checkpoint"), ("checkpoint", "policy")])
 def test_others_episodes_under_a_policys_name(made: Mapping[str, Path], tmp_path: Path, name: str, better: str) -> None:
     scores = forged(made[name], tmp_path / "f", episodes=made[better])
-    assert "was not shown" in verify_scores(scores).chosen
+    assert "not checked" in verify_scores(scores).chosen
     with pytest.raises(ArtefactError, match=r"step \d+: action \d was recorded, the policy takes \d"):
         verify_scores(scores, made["weights"])
 
 
 def test_another_policy_is_not_asked(made: Mapping[str, Path]) -> None:
-    with pytest.raises(ArtefactError, match=r"but the scores are of the policy .*; give that one"):
+    with pytest.raises(ArtefactError, match=r"but the scores are of the policy .*; give that policy"):
         verify_scores(made["policy"], made["other"])
-    with pytest.raises(ArtefactError, match="scores of random, which is no policy; leave --policy out"):
+    with pytest.raises(ArtefactError, match="scores of random, which is no policy; omit --policy"):
         verify_scores(made["random"], made["weights"])
 
 

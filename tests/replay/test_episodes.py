@@ -207,7 +207,7 @@ def test_scores_of_one_puzzle_a_hundred_times_are_refused(forge: Forge) -> None:
 
 
 def test_scores_of_a_policy_that_name_none_are_cut(forge: Forge) -> None:
-    with pytest.raises(ArtefactError, match="scores of 'curl' that name no policy: the chain is cut"):
+    with pytest.raises(ArtefactError, match="scores of 'curl' that name no policy, so the chain is broken"):
         verify_scores(forge(in_record(agent="curl")))
 
 

@@ -17,7 +17,7 @@ from gym_open.results.runs import ScoredRun
 __all__ = ["ReportConfig", "write_report"]
 
 
-class _Inputs(ReportConfig, frozen=True, kw_only=True):
+class _ReportInputs(ReportConfig, frozen=True, kw_only=True):
     """What decides a report besides its scores."""
 
     configurations: tuple[str, ...]
@@ -44,7 +44,7 @@ def write_report(config: ReportConfig, sources: Sequence[Path], out: Path) -> ar
     config = check(config, source="options")
     found = gather(sources, config.split)
     check_treatments(found.runs, found.configs)
-    inputs = _Inputs(**to_dict(config), configurations=tuple(sorted(found.configs)))
+    inputs = _ReportInputs(**to_dict(config), configurations=tuple(sorted(found.configs)))
 
     def work(folder: Path) -> Mapping[str, Any]:
         return _write(folder, config, found)
@@ -61,7 +61,7 @@ def _write(folder: Path, config: ReportConfig, found: ReportSources) -> Mapping[
     results = evaluate_runs(found.runs, config)
     proven = provenance.proofs(found.runs, results.agents)
     settings, recipes = provenance.recipes(found.runs, results.agents, found.configs)
-    content = page.Content(
+    content = page.ReportContent(
         title=one_line(config.title),
         config=to_dict(config),
         results=results,

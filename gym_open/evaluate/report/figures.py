@@ -7,7 +7,7 @@ import io
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
-from gym_open.evaluate.report.numbers import Cell, ReportNumbers, steps
+from gym_open.evaluate.report.numbers import ReportCell, ReportNumbers, steps
 from gym_open.plots import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, plain_style
 from gym_open.results.records import IntervalCurve
 
@@ -27,7 +27,7 @@ _LINE_INCHES = 0.19
 """Height of a line of the legend."""
 
 
-class Drawn(NamedTuple):
+class ReportFigure(NamedTuple):
     """One figure."""
 
     name: str
@@ -37,14 +37,14 @@ class Drawn(NamedTuple):
     """What it shows, for those who do not see it."""
 
 
-def draw(results: ReportNumbers) -> list[Drawn]:
+def draw(results: ReportNumbers) -> list[ReportFigure]:
     """Mean return against actions for every task, and A-Success against steps where there are checkpoints."""
     styles = _styles(results.agents)
     made = []
     for task in results.tasks:
         cells = [cell for cell in results.cells if cell.task == task]
         made.append(
-            Drawn(
+            ReportFigure(
                 f"return-{task}.svg",
                 _svg(f"return-{task}", len(cells), lambda axes, c=cells: _returns(axes, c, styles)),
                 f"{task}: mean return within so many actions",
@@ -56,7 +56,7 @@ def draw(results: ReportNumbers) -> list[Drawn]:
             fixed = [cell for cell in cells if cell.agent in _FIXED]
             shown = learned + fixed
             made.append(
-                Drawn(
+                ReportFigure(
                     f"learning-{task}.svg",
                     _svg(f"learning-{task}", len(shown), lambda axes, c=shown: _learning(axes, c, styles)),
                     f"{task}: A-Success after so many steps of fine-tuning",
@@ -75,19 +75,19 @@ def _styles(agents: Sequence[str]) -> dict[str, tuple[str, object, str]]:
     return styles | {agent: (*style, "") for agent, style in _FIXED.items()}
 
 
-def _ends(cells: Sequence[Cell], what: str, bands: Sequence[IntervalCurve]) -> str:
+def _ends(cells: Sequence[ReportCell], what: str, bands: Sequence[IntervalCurve]) -> str:
     values = (f"{cell.agent} {band.value[-1]:.3f}" for cell, band in zip(cells, bands, strict=True))
     return f"{what}: {', '.join(values)}"
 
 
-def _returns(axes: "Axes", cells: Sequence[Cell], styles: dict[str, tuple[str, object, str]]) -> None:
+def _returns(axes: "Axes", cells: Sequence[ReportCell], styles: dict[str, tuple[str, object, str]]) -> None:
     axes.set(xlabel="actions", ylabel="mean return")
     for cell in cells:
         _band(axes, cell.returns, cell.agent, styles[cell.agent], marked=False)
     axes.set_xlim(0, max(cell.returns.x[-1] for cell in cells))
 
 
-def _learning(axes: "Axes", cells: Sequence[Cell], styles: dict[str, tuple[str, object, str]]) -> None:
+def _learning(axes: "Axes", cells: Sequence[ReportCell], styles: dict[str, tuple[str, object, str]]) -> None:
     from matplotlib.ticker import FuncFormatter
 
     axes.set(xlabel="steps of fine-tuning", ylabel="A-Success")

@@ -4,8 +4,8 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 
 from gym_open.envs.puzzles.sets import PER_SET
-from gym_open.evaluate.report.numbers import Cell, ReportNumbers, count, interval, number, signed, steps
-from gym_open.evaluate.report.provenance import Proven
+from gym_open.evaluate.report.numbers import ReportCell, ReportNumbers, count, interval, number, signed, steps
+from gym_open.evaluate.report.provenance import ProofGroup
 from gym_open.results.names import is_trained, one_line, standing
 from gym_open.results.paper import PAPER_STEPS
 from gym_open.results.runs import ScoredRun
@@ -36,7 +36,7 @@ def findings(results: ReportNumbers) -> Iterator[str]:
         yield text + (f"; {others}." if others else ".") + _gains(compared, results.reference)
 
 
-def _gains(trained: Sequence[Cell], reference: str | None) -> str:
+def _gains(trained: Sequence[ReportCell], reference: str | None) -> str:
     compared = [(cell, cell.gain) for cell in trained if cell.gain is not None]
     if not compared or reference is None:
         return ""
@@ -58,7 +58,7 @@ def _gains(trained: Sequence[Cell], reference: str | None) -> str:
 
 
 def notes(
-    results: ReportNumbers, runs: Sequence[ScoredRun], proven: Sequence[Proven], unchecked: Sequence[str]
+    results: ReportNumbers, runs: Sequence[ScoredRun], proven: Sequence[ProofGroup], unchecked: Sequence[str]
 ) -> Iterator[str]:
     """Everything that weakens what the tables say; `unchecked` are agents whose configurations were not all seen."""
     yield from _on_runs(results)
@@ -133,7 +133,7 @@ def _on_comparisons(results: ReportNumbers) -> Iterator[str]:
         yield "Of fewer than four scores the interquartile mean cuts none: it is the mean of the scores then."
 
 
-def _on_proofs(proven: Sequence[Proven]) -> Iterator[str]:
+def _on_proofs(proven: Sequence[ProofGroup]) -> Iterator[str]:
     missing = [one for one in proven if one.verdict == "missing"]
     for agent in dict.fromkeys(one.agent for one in missing):
         yield f"Nothing certifies that the encoder of {agent} is task-free: see the proof below."

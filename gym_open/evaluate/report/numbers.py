@@ -27,7 +27,7 @@ class Crossing(msgspec.Struct, frozen=True):
     """Over runs; None if half of them or more never reached it."""
 
 
-class Cell(RowSummary, frozen=True, kw_only=True):
+class ReportCell(RowSummary, frozen=True, kw_only=True):
     """An agent on a task, as the tables of a report show it."""
 
     per_run: list[float]
@@ -68,13 +68,13 @@ class ReportNumbers(msgspec.Struct, frozen=True):
     """In the order of the rows."""
     tasks: list[str]
     reference: str | None
-    cells: list[Cell]
+    cells: list[ReportCell]
     aggregates: list[Aggregate]
     improvements: list[Improvement]
     left_behind: list[str]
     """Runs without a score at the training length of their row."""
 
-    def cell(self, agent: str, task: str) -> Cell | None:
+    def cell(self, agent: str, task: str) -> ReportCell | None:
         """Return the agent's cell on the task, if the agent was scored there."""
         return next((cell for cell in self.cells if (cell.agent, cell.task) == (agent, task)), None)
 
@@ -107,10 +107,10 @@ def _reference(agents: Sequence[str], config: ReportConfig) -> str | None:
     return next((agent for agent in agents if paper_name(agent) == "PPO (From scratch)"), None)
 
 
-def _cell(row: AgentRow, reference: AgentRow | None, config: ReportConfig, how: Resampling) -> Cell:
+def _cell(row: AgentRow, reference: AgentRow | None, config: ReportConfig, how: Resampling) -> ReportCell:
     summary, values = summarise_row(row, how), values_of(row.final)
     printed = paper_name(row.agent)
-    return Cell(
+    return ReportCell(
         **msgspec.structs.asdict(summary),
         per_run=values.mean(axis=1).tolist(),
         mean_return=float(np.mean([run.returns[:, -1].mean() for run in row.final])),

@@ -10,10 +10,10 @@ import msgspec
 
 from gym_open.evaluate.config import ReportConfig
 from gym_open.evaluate.report import numbers
-from gym_open.evaluate.report.figures import Drawn
-from gym_open.evaluate.report.numbers import Cell, ReportNumbers
+from gym_open.evaluate.report.figures import ReportFigure
+from gym_open.evaluate.report.numbers import ReportCell, ReportNumbers
 from gym_open.evaluate.report.probes import ProbeTable
-from gym_open.evaluate.report.provenance import Proven, Recipe, Setting
+from gym_open.evaluate.report.provenance import ProofGroup, Recipe, SharedConfig
 from gym_open.markdown import escaped
 from gym_open.results.names import standing
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 
-class Content(msgspec.Struct, frozen=True):
+class ReportContent(msgspec.Struct, frozen=True):
     """All that a page says; `table.json` is this, without the pictures."""
 
     title: str
@@ -30,20 +30,20 @@ class Content(msgspec.Struct, frozen=True):
     results: ReportNumbers
     findings: list[str]
     notes: list[str]
-    proofs: list[Proven]
+    proofs: list[ProofGroup]
     probes: list[ProbeTable]
-    settings: list[Setting]
+    settings: list[SharedConfig]
     recipes: list[Recipe]
     makers: list[dict[str, Any]]
     """Code version, packages and hardware of the scores, distinct ones."""
 
 
-def html(content: Content, figures: Sequence[Drawn], config: ReportConfig) -> str:
+def html(content: ReportContent, figures: Sequence[ReportFigure], config: ReportConfig) -> str:
     """The page."""
     return _render("page.html.jinja", content, figures, config)
 
 
-def markdown(content: Content, figures: Sequence[Drawn], config: ReportConfig) -> str:
+def markdown(content: ReportContent, figures: Sequence[ReportFigure], config: ReportConfig) -> str:
     """The same in Markdown, with figures beside it."""
     return _render("page.md.jinja", content, figures, config)
 
@@ -64,7 +64,7 @@ def _environment() -> "Environment":
     return environment
 
 
-def _render(template: str, content: Content, figures: Sequence[Drawn], config: ReportConfig) -> str:
+def _render(template: str, content: ReportContent, figures: Sequence[ReportFigure], config: ReportConfig) -> str:
     results = content.results
     by_pair = {(one.agent, one.other): one for one in results.improvements}
     return (
@@ -99,14 +99,14 @@ def _best(results: ReportNumbers) -> dict[str, str]:
     return {cell.task: cell.agent for cell in sorted(compared, key=lambda cell: cell.score.value)}
 
 
-def _crossing(results: ReportNumbers, task: str) -> tuple[list[Cell], list[str]]:
+def _crossing(results: ReportNumbers, task: str) -> tuple[list[ReportCell], list[str]]:
     """Of a task, agents that reached some threshold in some run, and the names of the other trained ones."""
     trained = [cell for cell in results.cells if cell.task == task and cell.trained]
     there = [cell for cell in trained if any(steps is not None for one in cell.crossings for steps in one.steps)]
     return there, [cell.agent for cell in trained if cell not in there]
 
 
-def _bound(cell: Cell, value: float | None, *, short: bool = False) -> str:
+def _bound(cell: ReportCell, value: float | None, *, short: bool = False) -> str:
     """Steps to a threshold: a bound from above where the first checkpoint is there already."""
     if value is None:
         return "–" if short else "not reached"

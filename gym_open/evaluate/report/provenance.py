@@ -20,20 +20,20 @@ _STAGES = {"log": "collect", "release": "release", "encoder": "encoder", "policy
 """Name of a configuration file, by kind of artefact."""
 
 
-class Proven(msgspec.Struct, frozen=True):
+class ProofGroup(msgspec.Struct, frozen=True):
     """The proof of some runs of an agent, walked again for the report."""
 
     agent: str
     scores: int
     verdict: str
     reasons: list[str]
-    chains: list["Chain"]
+    chains: list["ProofChain"]
     rests_on: str
     recorded: list[str]
     """Verdicts in the scores, where they differ from this one."""
 
 
-class Chain(msgspec.Struct, frozen=True):
+class ProofChain(msgspec.Struct, frozen=True):
     """Policies that come from the same encoder."""
 
     links: list[str]
@@ -42,7 +42,7 @@ class Chain(msgspec.Struct, frozen=True):
     """Task, seed and digest of each."""
 
 
-class Setting(msgspec.Struct, frozen=True):
+class SharedConfig(msgspec.Struct, frozen=True):
     """A configuration that some runs share, apart from seed, task and agent's name."""
 
     name: str
@@ -64,7 +64,7 @@ class Recipe(msgspec.Struct, frozen=True):
     commands: list[str]
 
 
-def proofs(runs: Sequence[ScoredRun], agents: Sequence[str]) -> list[Proven]:
+def proofs(runs: Sequence[ScoredRun], agents: Sequence[str]) -> list[ProofGroup]:
     """The task-free proof of every run, equal ones of an agent together, agents in the given order."""
     groups: dict[tuple[str, str, tuple[str, ...], str], list[tuple[ScoredRun, Proof]]] = {}
     for run in runs:
@@ -73,7 +73,7 @@ def proofs(runs: Sequence[ScoredRun], agents: Sequence[str]) -> list[Proven]:
         rests_on = printable(proof.rests_on).replace(run.record.policy or "\n", "shown below")
         groups.setdefault((run.name, proof.verdict, reasons, rests_on), []).append((run, proof))
     return [
-        Proven(
+        ProofGroup(
             agent=agent, verdict=verdict, reasons=list(reasons), rests_on=rests_on,
             scores=len(members), chains=_chains(members),
             recorded=sorted({run.record.proof.verdict for run, _ in members} - {verdict}),
@@ -84,13 +84,13 @@ def proofs(runs: Sequence[ScoredRun], agents: Sequence[str]) -> list[Proven]:
     ]  # fmt: skip
 
 
-def _chains(members: Sequence[tuple[ScoredRun, Proof]]) -> list[Chain]:
+def _chains(members: Sequence[tuple[ScoredRun, Proof]]) -> list[ProofChain]:
     policies: dict[tuple[str, ...], dict[str, None]] = {}
     for run, proof in members:
         if run.lineage.parents:
             own = policies.setdefault(tuple(one_line(link) for link in proof.chain[1:]), {})
             own[f"{run.record.task}, seed {run.seed}: {run.lineage.parents[0].digest}"] = None
-    return [Chain(list(links), list(own)) for links, own in policies.items()]
+    return [ProofChain(list(links), list(own)) for links, own in policies.items()]
 
 
 def _proof(run: ScoredRun) -> Proof:
@@ -103,7 +103,7 @@ def _proof(run: ScoredRun) -> Proof:
     return task_free_proof(run.lineage.parents[0])
 
 
-class _Link(msgspec.Struct, frozen=True):
+class _ChainLink(msgspec.Struct, frozen=True):
     """An artefact of a chain, or the scores at its head."""
 
     run: ScoredRun
@@ -112,7 +112,7 @@ class _Link(msgspec.Struct, frozen=True):
     kind: str
     sha256: str
     config: dict[str, Any] | None
-    parents: list["_Link"]
+    parents: list["_ChainLink"]
 
     @property
     def shared(self) -> bytes | None:
@@ -126,7 +126,7 @@ class _Link(msgspec.Struct, frozen=True):
         """What links of one configuration file have in common; of one that is not at hand, all of an agent's."""
         return self.kind, self.shared or f"{self.run.name}: {self.place}"
 
-    def walk(self) -> Iterator["_Link"]:
+    def walk(self) -> Iterator["_ChainLink"]:
         """Inputs first."""
         for parent in self.parents:
             yield from parent.walk()
@@ -135,7 +135,7 @@ class _Link(msgspec.Struct, frozen=True):
 
 def recipes(
     runs: Sequence[ScoredRun], agents: Sequence[str], configs: Mapping[str, dict[str, Any]]
-) -> tuple[list[Setting], list[Recipe]]:
+) -> tuple[list[SharedConfig], list[Recipe]]:
     """The distinct configurations behind some runs, and the commands for every agent.
 
     Args:
@@ -164,13 +164,13 @@ def recipes(
     return list(named.values()), recipes
 
 
-def _settings(links: Sequence[_Link]) -> dict[tuple[str, bytes | str], Setting]:
+def _settings(links: Sequence[_ChainLink]) -> dict[tuple[str, bytes | str], SharedConfig]:
     """Configuration files, numbered by kind."""
-    named: dict[tuple[str, bytes | str], Setting] = {}
+    named: dict[tuple[str, bytes | str], SharedConfig] = {}
     for link in links:
         if link.file not in named:
             number = sum(kind == link.kind for kind, _ in named) + 1
-            named[link.file] = Setting(
+            named[link.file] = SharedConfig(
                 name=f"{_STAGES.get(link.kind, 'evaluate')}-{number}.toml", kind=link.kind, agents=[],
                 toml=None if link.config is None else _toml(link.config), sha256=[],
             )  # fmt: skip
@@ -181,20 +181,22 @@ def _settings(links: Sequence[_Link]) -> dict[tuple[str, bytes | str], Setting]:
     return named
 
 
-def _chain(run: ScoredRun, configs: Mapping[str, dict[str, Any]]) -> _Link:
-    def link(parent: Parent | Lineage, sha256: str, place: str) -> _Link:
+def _chain(run: ScoredRun, configs: Mapping[str, dict[str, Any]]) -> _ChainLink:
+    def link(parent: Parent | Lineage, sha256: str, place: str) -> _ChainLink:
         lineage = parent.lineage if isinstance(parent, Parent) else parent
         place = f"{place}/{lineage.kind}"
         below = [
             link(one, one.manifest[CONFIG].sha256 if CONFIG in one.manifest else "", f"{place}{i or ''}")
             for i, one in enumerate(lineage.parents)
         ]
-        return _Link(run, place, lineage.kind, sha256, configs.get(sha256), below)
+        return _ChainLink(run, place, lineage.kind, sha256, configs.get(sha256), below)
 
     return link(run.lineage, run.config_sha256, "")
 
 
-def _commands(run: ScoredRun, heads: Sequence[_Link], named: Mapping[tuple[str, bytes | str], Setting]) -> list[str]:
+def _commands(
+    run: ScoredRun, heads: Sequence[_ChainLink], named: Mapping[tuple[str, bytes | str], SharedConfig]
+) -> list[str]:
     """Of all runs, with `$TASK` and `$SEED` for what varies. A line that is not for all of them says for which."""
     if run.record.agent == "oracle":
         return [f"gym-open evaluate --task $TASK --split {run.record.split} --oracle --out scores"]
@@ -221,7 +223,7 @@ def _commands(run: ScoredRun, heads: Sequence[_Link], named: Mapping[tuple[str, 
     ]
 
 
-def _command(link: _Link, file: str, names: Mapping[str, str], *, follows: bool) -> str:
+def _command(link: _ChainLink, file: str, names: Mapping[str, str], *, follows: bool) -> str:
     inputs = {one.kind: names[one.place] for one in link.parents}
     every = " ".join(names[one.place] for one in link.parents)
     match link.kind:

@@ -11,7 +11,7 @@ from gym_open.markdown import cell, table
 from gym_open.progress import Progressed
 
 FOLDER = "jobs"
-State = Literal["done", "at work", "stopped", "not begun"]
+JobState = Literal["done", "at work", "stopped", "not begun"]
 _STAGES = {
     "collect": "collect/logs", "release": "datasets/open", "encoder": "train/encoders", "probe": "train/probes",
     "policy": "train/policies", "score": "evaluate/scores",
@@ -23,17 +23,17 @@ _TAIL = 10_000
 """Bytes at the end of a job's output in which an error is looked for."""
 
 
-class Job(NamedTuple):
+class JobStatus(NamedTuple):
     """One job of a benchmark."""
 
     name: str
     stage: str
-    state: State
+    state: JobState
     words: str
     """How far it is, or why it stopped."""
 
 
-def jobs_of(folder: Path) -> list[Job]:
+def jobs_of(folder: Path) -> list[JobStatus]:
     """The jobs of the benchmark in `folder`, by stage and name; none if it is no benchmark's folder."""
     names = sorted(path.stem for path in (folder / FOLDER).glob("*.toml"))
     stages = list(_STAGES)
@@ -56,30 +56,30 @@ def _stage(name: str) -> str:
     return first if first in _STAGES else "encoder"
 
 
-def _job(root: Path, name: str) -> Job:
+def _job(root: Path, name: str) -> JobStatus:
     folder, stage = root / FOLDER, _stage(name)
     if (folder_of(root, name) / artefacts.MANIFEST).is_file():
-        return Job(name, stage, "done", "")
+        return JobStatus(name, stage, "done", "")
     progress, output = folder / f"{name}.progress", folder / f"{name}.log"
     try:
         if (said := Progressed.read(progress)) and _is_fresh(progress):
-            return Job(name, stage, "at work", f"{said.done:,} of {said.total:,}, {said.rate:,.1f}/s")
+            return JobStatus(name, stage, "at work", f"{said.done:,} of {said.total:,}, {said.rate:,.1f}/s")
         lines = read_regular(output, _TAIL, tail=True).decode(errors="replace").splitlines()
     except OSError:
-        return Job(name, stage, "not begun", "")
+        return JobStatus(name, stage, "not begun", "")
     errors = [line.strip("│ ").removeprefix("error: ") for line in lines if line.strip("│ ").startswith("error: ")]
     if not errors and _is_fresh(output):
-        return Job(name, stage, "at work", "begins")
-    return Job(name, stage, "stopped", errors[-1] if errors else "its output tells no error")
+        return JobStatus(name, stage, "at work", "begins")
+    return JobStatus(name, stage, "stopped", errors[-1] if errors else "its output tells no error")
 
 
 def _is_fresh(path: Path) -> bool:
     return time.time() - path.stat().st_mtime < _STALE_S
 
 
-def document(jobs: list[Job]) -> str:
+def document(jobs: list[JobStatus]) -> str:
     """Markdown: how many jobs of each stage are how far, and which are at work or were stopped."""
-    states: tuple[State, ...] = ("done", "at work", "stopped", "not begun")
+    states: tuple[JobState, ...] = ("done", "at work", "stopped", "not begun")
     counts = Counter((job.stage, job.state) for job in jobs)
     rows = [
         [stage, *(str(counts[stage, state]) for state in states)] for stage in dict.fromkeys(job.stage for job in jobs)

@@ -1,4 +1,4 @@
-"""Puzzles of the evaluation: one played by several agents, side by side; or how all of them went."""
+"""Puzzles of the evaluation: one puzzle played by several agents, side by side, or the results of all puzzles."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,17 +8,17 @@ from gym_open.viz.view import View
 
 
 def view(config: VizConfig, sources: Sequence[Path], choice: Choice) -> View:
-    """The puzzle that was chosen, played by the sources; without one, how all puzzles of their task went.
+    """Show the chosen puzzle, played by the sources; without a choice, show the results of all puzzles of their task.
 
     Args:
-        config: how long the trails are.
-        sources: scores artefacts; of a chosen puzzle also policies, which play it.
-        choice: of it, `puzzle`.
+        config: sets the length of the trails.
+        sources: scores artefacts; with a chosen puzzle also policies, which play it.
+        choice: only `puzzle` is used.
 
     Raises:
         ArtefactError: if a source is damaged, of another kind or task, or holds no episode of the puzzle.
         PuzzleError: if no fixed puzzle has this id.
-        UsageError: if more than a puzzle was chosen, or a policy is given without one.
+        UsageError: if more than a puzzle was chosen, or there is no source.
     """
     choice.refuse_others("a puzzle", {"puzzle"})
     if choice.puzzle is None:

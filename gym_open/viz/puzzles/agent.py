@@ -1,4 +1,4 @@
-"""What one agent did in a puzzle, as Rerun entities under its number; `side_by_side` lists them."""
+"""Episode of one agent as Rerun entities below the agent's number; `side_by_side` lists the entities."""
 
 import numpy as np
 import rerun as rr
@@ -7,31 +7,31 @@ from gym_open.envs import constants as c
 from gym_open.envs.physics.model import kind_of
 from gym_open.envs.puzzles import Puzzle
 from gym_open.formats.pngs import encode_pngs
+from gym_open.plots import agent_style, rgb
 from gym_open.viz.play.table import Trail, log_contacts, log_moves, log_objects, log_scenery, log_styles, log_table
-from gym_open.viz.puzzles.colours import colour
-from gym_open.viz.puzzles.episodes import Episode
+from gym_open.viz.puzzles.episodes import PuzzleEpisode
 from gym_open.viz.view import YELLOW, tensors, times
 
 _REACH = 0.3
-"""Metres of the arrow of an action that is certain."""
+"""Length in metres of the arrow of an action with probability 1."""
 
 
 def log_agent(
-    rec: rr.RecordingStream, puzzle: Puzzle, episode: Episode, number: int, *, longest: int, trail_steps: int
+    rec: rr.RecordingStream, puzzle: Puzzle, episode: PuzzleEpisode, number: int, *, longest: int, trail_steps: int
 ) -> None:
-    """Write everything of one agent's episode.
+    """Log the whole episode of one agent.
 
     Args:
         rec: the recording.
-        puzzle: that was played.
-        episode: what the agent did.
-        number: of the agent; all is under it.
-        longest: steps of the longest episode beside it, up to which the return is drawn.
-        trail_steps: of the agent's trail.
+        puzzle: the puzzle.
+        episode: the agent's episode.
+        number: the agent's number, first part of every entity path.
+        longest: steps of the longest episode in the view; the return is drawn up to there.
+        trail_steps: length of the agent's trail.
     """
     root, moments = f"{number}", np.arange(episode.steps + 1)
-    pictures = encode_pngs(episode.images)
-    columns = rr.EncodedImage.columns(blob=pictures, media_type=["image/png"] * len(pictures))
+    files = encode_pngs(episode.images)
+    columns = rr.EncodedImage.columns(blob=files, media_type=["image/png"] * len(files))
     rec.send_columns(f"{root}/observation", times(moments), columns)
     _log_table(rec, f"{root}/table", puzzle, episode, trail_steps)
     _log_touched(rec, f"{root}/table", episode)
@@ -39,8 +39,8 @@ def log_agent(
     _log_policy(rec, root, episode, number)
 
 
-def _log_series(rec: rr.RecordingStream, root: str, episode: Episode, number: int, longest: int) -> None:
-    style = {"names": episode.name, "colors": colour(number)}
+def _log_series(rec: rr.RecordingStream, root: str, episode: PuzzleEpisode, number: int, longest: int) -> None:
+    style = {"names": episode.name, "colors": rgb(agent_style(number)[0])}
     rec.log(f"{root}/return", rr.SeriesLines(**style, widths=2.5), static=True)
     rec.log(f"{root}/action", rr.SeriesPoints(**style, marker_sizes=4), static=True)
     earned, at = episode.returns, np.arange(episode.steps + 1)
@@ -51,22 +51,22 @@ def _log_series(rec: rr.RecordingStream, root: str, episode: Episode, number: in
     rec.send_columns(f"{root}/action", acting, rr.Scalars.columns(scalars=episode.actions))
 
 
-def _log_policy(rec: rr.RecordingStream, root: str, episode: Episode, number: int) -> None:
-    """Value, entropy and action probabilities: as series, as bars, and as arrows around the agent."""
-    if episode.opinion is None:
+def _log_policy(rec: rr.RecordingStream, root: str, episode: PuzzleEpisode, number: int) -> None:
+    """Log value and entropy as series, and action probabilities as bars and as arrows around the agent."""
+    if episode.policy is None:
         return
-    opinion, acting = episode.opinion, times(np.arange(episode.steps))
-    for name, values in (("value", opinion.values), ("entropy", opinion.entropy)):
-        line = rr.SeriesLines(names=episode.name, colors=colour(number), widths=2)
+    policy, acting = episode.policy, times(np.arange(episode.steps))
+    for name, values in (("value", policy.values), ("entropy", policy.entropy)):
+        line = rr.SeriesLines(names=episode.name, colors=rgb(agent_style(number)[0]), widths=2)
         rec.log(f"{root}/policy/{name}", line, static=True)
         rec.send_columns(f"{root}/policy/{name}", acting, rr.Scalars.columns(scalars=values))
-    bars = [rr.BarChart(row) for row in opinion.probabilities]
+    bars = [rr.BarChart(row) for row in policy.probabilities]
     rec.send_columns(f"{root}/policy/probabilities", acting, tensors(bars))
-    _, hue = rr.BarChart(opinion.probabilities[0], color=colour(number)).as_component_batches()
+    _, hue = rr.BarChart(policy.probabilities[0], color=rgb(agent_style(number)[0])).as_component_batches()
     rec.send_columns(f"{root}/policy/probabilities", times([0]), [rr.ComponentColumn(hue.component_descriptor(), hue)])
     moves = np.pad(np.array(c.MOVES[1:], np.float32), ((0, 0), (0, 1)))
     agent = episode.states[:-1, episode.objects.index("agent"), :3].astype(np.float32)
-    vectors = _REACH * opinion.probabilities[:, 1:, None].astype(np.float32) * moves
+    vectors = _REACH * policy.probabilities[:, 1:, None].astype(np.float32) * moves
     taken = np.array(episode.actions)[:, None] == np.arange(1, c.N_ACTIONS)
     arrows = rr.Arrows3D.columns(
         origins=np.repeat(agent, len(moves), axis=0),
@@ -77,7 +77,7 @@ def _log_policy(rec: rr.RecordingStream, root: str, episode: Episode, number: in
     rec.send_columns(f"{root}/table/policy", acting, arrows.partition([len(moves)] * episode.steps))
 
 
-def _log_table(rec: rr.RecordingStream, entity: str, puzzle: Puzzle, episode: Episode, trail_steps: int) -> None:
+def _log_table(rec: rr.RecordingStream, entity: str, puzzle: Puzzle, episode: PuzzleEpisode, trail_steps: int) -> None:
     moments = np.arange(episode.steps + 1)
     log_table(rec, entity)
     log_scenery(rec, entity, puzzle, times([0]))
@@ -89,8 +89,8 @@ def _log_table(rec: rr.RecordingStream, entity: str, puzzle: Puzzle, episode: Ep
     log_contacts(rec, entity, episode.contacts, moments[:-1])
 
 
-def _log_touched(rec: rr.RecordingStream, entity: str, episode: Episode) -> None:
-    """A goal turns its hit colour when it is touched, as the agent sees it."""
+def _log_touched(rec: rr.RecordingStream, entity: str, episode: PuzzleEpisode) -> None:
+    """Log the goals in their hit colour from the touch on, as the agent sees them."""
     hit: set[str] = set()
     for step, names in enumerate(episode.touched, 1):
         hit |= set(names)

@@ -1,4 +1,4 @@
-"""A puzzle played by several agents, filmed side by side, with their returns under the pictures."""
+"""A film of several agents on one puzzle, side by side, with their returns below."""
 
 import math
 from collections.abc import Iterator
@@ -8,36 +8,39 @@ from PIL import Image, ImageDraw
 
 from gym_open import progress
 from gym_open.envs.world import World
+from gym_open.plots import agent_style, rgb
 from gym_open.viz.film import FAINT, INK, PAPER, even, typeface
-from gym_open.viz.puzzles.colours import COLOURS, STYLES, colour
-from gym_open.viz.puzzles.episodes import Episode, Puzzled
+from gym_open.viz.puzzles.episodes import PlayedPuzzle, PuzzleEpisode
 from gym_open.viz.render import DIRECTIONS, FilmedStep, Look, Painter, painter, played_steps
 from gym_open.viz.strip import Plot, PlotLine, Strip
 
 _STEPS_A_SECOND = 6
 _WIDTH, _WIDEST = 1280, 420
-"""Pixels of the film, and at most of one agent's picture."""
+"""Width of the film in pixels, and largest width of one agent's image."""
 _PLOT = 170
-"""Pixels of the height of a plot."""
+"""Height of a plot in pixels."""
 _ACROSS = 4
-"""Agents in a row."""
+"""Agents per row."""
 _PAINTED = 600
-"""Pictures beyond which there are fewer between two steps: the handsome look takes a tenth of a second each."""
+"""Above this number of images, fewer are drawn per step: the handsome look takes a tenth of a second per image."""
 
 
-def frames_a_step(played: Puzzled) -> int:
-    """Pictures a step: as many as are not too many, and divide the substeps of a step."""
+def frames_a_step(played: PlayedPuzzle) -> int:
+    """Return the number of images per step: it divides the substeps of a step, and the film does not get too long."""
     total = sum(episode.steps for episode in played.episodes)
     return next((each for each in (5, 2) if each * total <= _PAINTED), 1)
 
 
-def film(played: Puzzled, look: Look) -> tuple[Iterator[np.ndarray], int]:
-    """Frames (H, W, 3) uint8 of all agents at one pace, whoever is done standing still; and how many a second."""
+def film(played: PlayedPuzzle, look: Look) -> tuple[Iterator[np.ndarray], int]:
+    """Return frames (H, W, 3) uint8 with all agents at the same pace, and frames per second.
+
+    An agent whose episode has ended stands still.
+    """
     each = frames_a_step(played)
     return _frames(played, look, each), _STEPS_A_SECOND * each
 
 
-def _frames(played: Puzzled, look: Look, each: int) -> Iterator[np.ndarray]:
+def _frames(played: PlayedPuzzle, look: Look, each: int) -> Iterator[np.ndarray]:
     episodes = played.episodes
     across = min(len(episodes), _ACROSS)
     size = min(_WIDTH // across, _WIDEST) // 2 * 2
@@ -56,34 +59,34 @@ def _frames(played: Puzzled, look: Look, each: int) -> Iterator[np.ndarray]:
         yield from [frame] * (2 * held)
 
 
-def returns_plot(episodes: list[Episode], longest: int) -> Plot:
-    """Return so far of each agent, up to the end of the longest episode; lines lie a little apart."""
+def returns_plot(episodes: list[PuzzleEpisode], longest: int) -> Plot:
+    """Plot the return so far of each agent up to the end of the longest episode; lines are drawn slightly apart."""
     curves = list[PlotLine]()
     for number, episode in enumerate(episodes):
         earned = np.append(episode.returns, episode.returns[-1])
         at = np.append(np.arange(episode.steps + 1), 1.02 * longest)
-        style = STYLES[number % len(STYLES)]
-        curves.append(PlotLine(at, earned + 0.012 * number, COLOURS[number % len(COLOURS)], episode.name, style))
+        colour, line = agent_style(number)
+        curves.append(PlotLine(at, earned + 0.012 * number, colour, episode.name, line))
     return Plot("return so far", curves)
 
 
-def _panels(played: Puzzled, number: int, paint: Painter, each: int) -> Iterator[Image.Image]:
-    """What is seen of one agent, from the beginning to its end."""
+def _panels(played: PlayedPuzzle, number: int, paint: Painter, each: int) -> Iterator[Image.Image]:
+    """Yield the panels of one agent, from the beginning to the end of its episode."""
     episode, total = played.episodes[number], played.episodes[number].steps
     for world, moment in played_steps(World(), played.puzzle, episode.actions, each):
         at_end = moment.step == total and math.isclose(moment.total, episode.returns[-1], abs_tol=1e-9)
-        yield _panel(paint(world), episode, colour(number), moment, ended=at_end)
+        yield _panel(paint(world), episode, rgb(agent_style(number)[0]), moment, ended=at_end)
 
 
 def _panel(
-    picture: np.ndarray, episode: Episode, hue: tuple[int, int, int], moment: FilmedStep, *, ended: bool
+    image: np.ndarray, episode: PuzzleEpisode, hue: tuple[int, int, int], moment: FilmedStep, *, ended: bool
 ) -> Image.Image:
-    """The picture between the agent's name and what it does."""
-    size = len(picture)
+    """Draw the image between the agent's name and a line about its action."""
+    size = len(image)
     large, small = typeface(max(11, size // 20)), typeface(max(10, size // 24))
     line = round(1.7 * large.size)
     panel = Image.new("RGB", (size, size + 3 * line), PAPER)
-    panel.paste(Image.fromarray(picture), (0, line))
+    panel.paste(Image.fromarray(image), (0, line))
     draw, margin = ImageDraw.Draw(panel), line // 3
     draw.rectangle((0, 0, size, 3), fill=hue)
     draw.text((margin, line / 2 + 2), episode.name, fill=INK, font=large, anchor="lm")

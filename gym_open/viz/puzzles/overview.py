@@ -1,11 +1,11 @@
-"""How all puzzles of a task went: who earned how much within i actions, who solved which, which are hard.
+"""Results of all puzzles of a task: returns within i actions, who solved which puzzle, which puzzles are hard.
 
-Timeline `actions`: at i, the dots show what was earned within i actions.
+Timeline `actions`: at i, the dots show the return within i actions.
 
     <task>/within/<n>       mean return of agent n within i actions
-    <task>/puzzles/<n>      a dot a puzzle, the tens of its number downwards, its units to the right
-    <task>/returns/<n>, <task>/a_success/<n>     of each puzzle, best first
-    <task>/hardest          how the hardest puzzles begin
+    <task>/puzzles/<n>      a dot per puzzle: the tens of its number downwards, its units to the right
+    <task>/returns/<n>, <task>/a_success/<n>     per puzzle, best first
+    <task>/hardest          the hardest puzzles at the beginning
     <task>/about            the table of agents, and the commands that open the hardest puzzles
 """
 
@@ -22,37 +22,37 @@ from gym_open.envs.constants import IMAGE_SIZE
 from gym_open.envs.puzzles.sets import puzzle_by_id
 from gym_open.errors import UsageError
 from gym_open.markdown import cell, table
-from gym_open.viz.puzzles.colours import colour
+from gym_open.plots import agent_style, rgb
 from gym_open.viz.puzzles.tables import HARDEST, TaskTable, commands, read_tables
 from gym_open.viz.render import draw_sheet
 from gym_open.viz.view import View
 
 TIMELINE = "actions"
 _EARNED = np.array([(0, 34, 78), (124, 123, 120), (254, 232, 56)])
-"""Colours of nothing, half and all of a puzzle's return: of cividis, which colour-blind readers tell apart."""
+"""Colours of nothing, half and all of a puzzle's return, from cividis, which suits colour-blind readers."""
 _DANGER = (213, 94, 0)
 _PAPER = (250, 250, 248)
 _ROW = 10
-"""Puzzles side by side."""
+"""Puzzles per row."""
 _LEGEND = (
-    "± is half of the 95% interval over puzzles. A puzzle is solved when all of its return was earned. In the picture "
-    "of who solved what, a dot is dark for nothing earned, yellow for all{danger}; the tens of a puzzle's number go "
-    "down, its units to the right; hover over a dot to read it. Move the time cursor to i: the dots show what was "
-    "earned within i actions; all else is of the whole budget."
+    "± is half of the 95% interval over puzzles. A puzzle is solved if the agent earned all of its return. In the plot "
+    "of who solved what, a dark dot means no return, a yellow dot all of it{danger}. The tens of a puzzle's number go "
+    "down, its units to the right; hover over a dot to read it. Move the time cursor to i: the dots then show the "
+    "return within i actions. Everything else is for the whole budget."
 )
 _WIDTH, _HEIGHT = _ROW + 1.5, _ROW + 4.5
-"""From one agent's puzzles to the next one's."""
+"""Distance from one agent's puzzles to the next agent's."""
 
 
 def overview(sources: Sequence[Path]) -> View:
-    """All puzzles of each task and set that the sources are scores of; a tab each.
+    """Show all puzzles of each task and set that the sources were scored on, in a tab per task and set.
 
     Raises:
-        ArtefactError: if a source is damaged or no scores.
-        UsageError: if there is none.
+        ArtefactError: if a source is damaged or holds no scores.
+        UsageError: if there is no source.
     """
     if not sources:
-        raise UsageError("no scores to look at; give at least one folder of them")
+        raise UsageError("no scores to show; give at least one folder with scores")
     tables = read_tables(sources)
 
     def fill(rec: rr.RecordingStream) -> None:
@@ -80,12 +80,12 @@ def _fill(rec: rr.RecordingStream, group: TaskTable) -> None:
     at = [rr.TimeColumn(TIMELINE, sequence=np.arange(1, group.budget + 1))]
     for n, agent in enumerate(group.agents):
         line = rr.SeriesLines(
-            names=f"{agent.name}: A-Success {agent.run.record.a_success:.3f}", colors=colour(n), widths=2
+            names=f"{agent.name}: A-Success {agent.run.record.a_success:.3f}", colors=rgb(agent_style(n)[0]), widths=2
         )
         rec.log(f"{root}/within/{n}", line, static=True)
         rec.send_columns(f"{root}/within/{n}", at, rr.Scalars.columns(scalars=agent.run.record.mean_return_within))
         for name, values in (("returns", agent.run.returns[:, -1]), ("a_success", agent.run.values)):
-            rec.log(f"{root}/{name}/{n}", rr.BarChart(np.sort(values)[::-1], color=colour(n)), static=True)
+            rec.log(f"{root}/{name}/{n}", rr.BarChart(np.sort(values)[::-1], color=rgb(agent_style(n)[0])), static=True)
         _log_dots(rec, group, n, at)
 
 
@@ -95,7 +95,11 @@ def _log_dots(rec: rr.RecordingStream, group: TaskTable, n: int, at: list[rr.Tim
     corner = np.array([_WIDTH * (n % _across(group)), _HEIGHT * (n // _across(group))])
     words = f"{agent.name}\n{int(agent.solved.sum())} of {len(agent.run.puzzles)} solved"
     head = rr.Points2D(
-        corner + np.array([_ROW / 2 - 0.5, -4.4]), radii=0.001, colors=colour(n), labels=words, show_labels=True
+        corner + np.array([_ROW / 2 - 0.5, -4.4]),
+        radii=0.001,
+        colors=rgb(agent_style(n)[0]),
+        labels=words,
+        show_labels=True,
     )
     rec.log(f"{entity}/name", head, static=True)
     dots = rr.Points2D(
@@ -114,12 +118,12 @@ def _log_dots(rec: rr.RecordingStream, group: TaskTable, n: int, at: list[rr.Tim
 
 
 def _across(group: TaskTable) -> int:
-    """Agents side by side in the picture of who solved what."""
+    """Return the number of agents side by side in the plot of who solved what."""
     return math.ceil(math.sqrt(len(group.agents) / 2))
 
 
 def _beginnings(group: TaskTable) -> Image.Image:
-    """How the hardest puzzles begin."""
+    """Draw the hardest puzzles at the beginning."""
     hardest = {item: puzzle_by_id(item) for item in group.hardest[:HARDEST]}
     return draw_sheet(hardest, look="observation", size=2 * IMAGE_SIZE, columns=_ROW // 2)
 
@@ -143,13 +147,13 @@ def _about(group: TaskTable) -> str:
             "",
             *table(["agent", "A-Success", "mean return", "solved"], rows),
             "",
-            _LEGEND.format(danger=", orange for the danger patch" if group.task == "avoidance" else ""),
+            _LEGEND.format(danger=", an orange dot the danger patch" if group.task == "avoidance" else ""),
             "",
             "## Hardest for these agents",
             "",
             *table(["puzzle", "mean A-Success", "solved by"], hard),
             "",
-            "To open one:",
+            "To open a puzzle:",
             "",
             *(f"```\n{line}\n```" for line in commands(group)),
         ]
@@ -169,7 +173,7 @@ def _layout(group: TaskTable) -> rrb.Horizontal:
                 axis_y=rrb.ScalarAxis(range=(0, 1.05)),
             ),
             rrb.Tabs(
-                rrb.Spatial2DView(origin=f"{root}/hardest", name="the hardest puzzles as they begin"),
+                rrb.Spatial2DView(origin=f"{root}/hardest", name="the hardest puzzles at the beginning"),
                 rrb.BarChartView(origin=f"{root}/returns", name="return of each puzzle, best first"),
                 rrb.BarChartView(origin=f"{root}/a_success", name="A-Success of each puzzle, best first"),
             ),

@@ -1,11 +1,11 @@
-"""One puzzle by several agents, on one timeline of steps: a column an agent, the witness beside them.
+"""One puzzle by several agents on one timeline of steps: a column per agent, and the witness in the last.
 
-<n>/observation                     pictures, PNG
-<n>/table/…                         the table and what is on it, as of a log
-<n>/table/policy                    where the policy would go: arrows as long as the nine actions are likely
+<n>/observation                     observations, PNG
+<n>/table/…                         the table and the objects on it, as in the view of a log
+<n>/table/policy                    arrows whose lengths are the probabilities of the moves
 <n>/return, <n>/action              return so far, and actions
-<n>/policy/{value, entropy}         of a policy whose weights were given
-<n>/policy/probabilities            of the nine actions
+<n>/policy/{value, entropy}         only for a policy whose weights were given
+<n>/policy/probabilities            probabilities of the nine actions
 events                              touches and ends, in words
 about/puzzle                        the table of agents, and the puzzle's record
 """
@@ -17,16 +17,16 @@ from gym_open.envs.tasks import step_budget
 from gym_open.markdown import cell, table
 from gym_open.viz.config import VizConfig
 from gym_open.viz.puzzles.agent import log_agent
-from gym_open.viz.puzzles.episodes import Episode, Puzzled
+from gym_open.viz.puzzles.episodes import PlayedPuzzle, PuzzleEpisode
 from gym_open.viz.render import DIRECTIONS
 from gym_open.viz.view import View, times
 
 _ABREAST = 4
-"""Agents side by side; more come in tabs."""
+"""Agents side by side; more than these get another tab."""
 
 
-def side_by_side(config: VizConfig, played: Puzzled) -> View:
-    """The view of one puzzle, played by several agents; `config` says how long their trails are."""
+def side_by_side(config: VizConfig, played: PlayedPuzzle) -> View:
+    """Return the view of one puzzle, played by several agents; `config` sets the length of their trails."""
 
     def fill(rec: rr.RecordingStream) -> None:
         rec.log("about/puzzle", rr.TextDocument(_about(played), media_type="text/markdown"), static=True)
@@ -38,8 +38,8 @@ def side_by_side(config: VizConfig, played: Puzzled) -> View:
     return View(played.id, fill, _layout(played))
 
 
-def _log_events(rec: rr.RecordingStream, number: int, episode: Episode) -> None:
-    """Touches and the end in words."""
+def _log_events(rec: rr.RecordingStream, number: int, episode: PuzzleEpisode) -> None:
+    """Log touches and the end of the episode in words."""
     found = {
         step: f"{episode.name}: touches {', '.join(names)}, return {episode.returns[step]:g}"
         for step, names in enumerate(episode.touched, 1)
@@ -53,7 +53,7 @@ def _log_events(rec: rr.RecordingStream, number: int, episode: Episode) -> None:
     rec.send_columns(f"events/{number}", times(list(found)), columns)
 
 
-def _about(played: Puzzled) -> str:
+def _about(played: PlayedPuzzle) -> str:
     rows = [[cell(episode.name), cell(episode.outcome), f"{episode.returns[-1]:g}"] for episode in played.episodes]
     budget = step_budget(played.puzzle.task)
     actions = [f"- {cell(episode.name)}: {_in_words(episode)}" for episode in played.episodes]
@@ -67,7 +67,7 @@ def _about(played: Puzzled) -> str:
             "",
             "Actions: " + ", ".join(f"{number} {name}" for number, name in enumerate(DIRECTIONS)) + ".",
             "",
-            "## What each did",
+            "## Actions of each agent",
             "",
             *actions,
             "",
@@ -78,12 +78,12 @@ def _about(played: Puzzled) -> str:
     )
 
 
-def _in_words(episode: Episode) -> str:
-    """The actions, one behind the other."""
+def _in_words(episode: PuzzleEpisode) -> str:
+    """Return the actions as one line."""
     return " ".join(f"{action}" for action in episode.actions)
 
 
-def _layout(played: Puzzled) -> rrb.Blueprint:
+def _layout(played: PlayedPuzzle) -> rrb.Blueprint:
     columns = [_agent(number, episode) for number, episode in enumerate(played.episodes)]
     groups = [columns[i : i + _ABREAST] for i in range(0, len(columns), _ABREAST)]
     abreast = [
@@ -101,10 +101,10 @@ def _layout(played: Puzzled) -> rrb.Blueprint:
     )
 
 
-def _agent(number: int, episode: Episode) -> rrb.Vertical:
-    """The table over the observation and, of a policy, the bars of its actions."""
+def _agent(number: int, episode: PuzzleEpisode) -> rrb.Vertical:
+    """Lay out the table above the observation and, for a policy, the bars of its action probabilities."""
     seen: rrb.View | rrb.Horizontal = rrb.Spatial2DView(origin=f"/{number}/observation", name="observation")
-    if episode.opinion:
+    if episode.policy:
         hidden = rrb.PlotLegend(visible=False)
         bars = rrb.BarChartView(origin=f"/{number}/policy/probabilities", name="p(action)", plot_legend=hidden)
         seen = rrb.Horizontal(seen, bars)
@@ -118,14 +118,14 @@ def _agent(number: int, episode: Episode) -> rrb.Vertical:
     )
 
 
-def _below(episodes: list[Episode]) -> rrb.Horizontal:
+def _below(episodes: list[PuzzleEpisode]) -> rrb.Horizontal:
     def plot(title: str, entity: str, who: list[int], top: float | None = None) -> rrb.TimeSeriesView:
         axis = rrb.ScalarAxis(range=(-0.05, top)) if top else None
         contents = [f"/{number}/{entity}" for number in who]
         return rrb.TimeSeriesView(contents=contents, name=title, axis_y=axis, plot_legend=rrb.Corner2D.RightBottom)
 
     everyone = list(range(len(episodes)))
-    judges = [number for number in everyone if episodes[number].opinion]
+    judges = [number for number in everyone if episodes[number].policy]
     actions = plot("action (0 = stay)", "action", everyone, 8.5)
     second: rrb.TimeSeriesView | rrb.Tabs = actions
     if judges:

@@ -1,4 +1,4 @@
-"""Puzzles on one page: a film strip of each agent, or how all puzzles of a task went."""
+"""Figures of puzzles: a film strip per agent, or the results of all puzzles of a task."""
 
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
@@ -8,8 +8,8 @@ import numpy as np
 from gym_open.envs.constants import IMAGE_SIZE
 from gym_open.envs.puzzles.sets import puzzle_by_id
 from gym_open.envs.world import World
-from gym_open.viz.puzzles.colours import COLOURS, STYLES
-from gym_open.viz.puzzles.episodes import Episode, Puzzled
+from gym_open.plots import agent_style
+from gym_open.viz.puzzles.episodes import PlayedPuzzle, PuzzleEpisode
 from gym_open.viz.puzzles.film import returns_plot
 from gym_open.viz.puzzles.tables import HARDEST, TaskTable
 from gym_open.viz.render import Look, Painter, draw_sheet, painter, pose
@@ -19,24 +19,24 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, SubFigure
 
-_PICTURES = 7
+_IMAGES = 7
 _SIZE = 280
-"""Pixels of the edge of a picture."""
+"""Edge of an image in pixels."""
 Drawing = tuple[float, float, "Callable[[Figure], None]"]
-"""Width and height in inches, and what draws."""
+"""Width and height in inches, and a function that draws on a figure."""
 
 
-def strips(played: Puzzled, look: Look) -> Drawing:
-    """A film strip of each agent, the witness's last, over the returns."""
+def strips(played: PlayedPuzzle, look: Look) -> Drawing:
+    """Draw a film strip per agent, with the witness's last, above a plot of the returns."""
     episodes = played.episodes
-    judges = [number for number, episode in enumerate(episodes) if episode.opinion]
+    judges = [number for number, episode in enumerate(episodes) if episode.policy]
     with painter(World(), look, _SIZE) as paint:
-        pictures = [_strip(played, episode, paint) for episode in episodes]
+        strips = [_strip(played, episode, paint) for episode in episodes]
 
     def draw(figure: "Figure") -> None:
         heights = [2.25] * len(episodes) + [2]
         *rows, below = figure.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
-        for number, (row, strip) in enumerate(zip(rows, pictures, strict=True)):
+        for number, (row, strip) in enumerate(zip(rows, strips, strict=True)):
             words = f"{episodes[number].name}: {episodes[number].outcome}"
             words = f"{played.id}   {words}" if number == 0 else words
             row.suptitle(words, fontsize=10, x=0.01, ha="left", color="#191919")
@@ -44,7 +44,7 @@ def strips(played: Puzzled, look: Look) -> Drawing:
         longest = max(episode.steps for episode in episodes)
         plots = [returns_plot(episodes, longest)]
         if judges:
-            plots += [_opinion_plot(episodes, judges, "value"), _opinion_plot(episodes, judges, "entropy")]
+            plots += [_policy_plot(episodes, judges, "value"), _policy_plot(episodes, judges, "entropy")]
         for axes, plot in zip(below.subplots(1, len(plots), squeeze=False)[0], plots, strict=True):
             draw_plot(axes, plot, steps=True)
             axes.set_xlabel("actions", fontsize=8)
@@ -52,8 +52,8 @@ def strips(played: Puzzled, look: Look) -> Drawing:
     return 13.0, 2.25 * len(episodes) + 2.3, draw
 
 
-def shown_steps(episode: Episode, limit: int = _PICTURES) -> list[int]:
-    """Beginning, end and touches, and between them as many steps as fit, evenly."""
+def shown_steps(episode: PuzzleEpisode, limit: int = _IMAGES) -> list[int]:
+    """Return the steps to show: beginning, end and touches, and between them as many as fit, evenly spaced."""
     wanted = [0, episode.steps, *(step for step, names in enumerate(episode.touched, 1) if names)]
     even = np.linspace(0, episode.steps, limit).round().astype(int).tolist()
     found = set(wanted[:limit])
@@ -63,7 +63,7 @@ def shown_steps(episode: Episode, limit: int = _PICTURES) -> list[int]:
     return sorted(found)
 
 
-def _strip(played: Puzzled, episode: Episode, paint: Painter) -> list[tuple[str, np.ndarray]]:
+def _strip(played: PlayedPuzzle, episode: PuzzleEpisode, paint: Painter) -> list[tuple[str, np.ndarray]]:
     world = World()
     world.load(played.puzzle, recolour_hits=True)
     found = list[tuple[str, np.ndarray]]()
@@ -77,32 +77,29 @@ def _strip(played: Puzzled, episode: Episode, paint: Painter) -> list[tuple[str,
 
 
 def _draw_strip(figure: "SubFigure", strip: list[tuple[str, np.ndarray]]) -> None:
-    for i, axes in enumerate(figure.subplots(1, _PICTURES, squeeze=False)[0]):
+    for i, axes in enumerate(figure.subplots(1, _IMAGES, squeeze=False)[0]):
         axes.set_axis_off()
         if i < len(strip):
             axes.imshow(strip[i][1])
             axes.set_title(strip[i][0], fontsize=8)
 
 
-def _opinion_plot(episodes: Sequence[Episode], judges: list[int], name: str) -> Plot:
+def _policy_plot(episodes: Sequence[PuzzleEpisode], judges: list[int], name: str) -> Plot:
     curves = list[PlotLine]()
     for number in judges:
-        opinion = episodes[number].opinion
-        assert opinion is not None
-        values = opinion.values if name == "value" else opinion.entropy
-        curves.append(
-            PlotLine(
-                np.arange(len(values) + 1), np.append(values, values[-1]), COLOURS[number % len(COLOURS)],
-                episodes[number].name, STYLES[number % len(STYLES)],
-            )
-        )  # fmt: skip
+        policy = episodes[number].policy
+        assert policy is not None
+        values = policy.values if name == "value" else policy.entropy
+        colour, line = agent_style(number)
+        x = np.arange(len(values) + 1)
+        curves.append(PlotLine(x, np.append(values, values[-1]), colour, episodes[number].name, line))
     return Plot(
         {"value": "value: return that the policy expects", "entropy": "entropy of the policy (nats)"}[name], curves
     )
 
 
 def overview(tables: Sequence[TaskTable]) -> Drawing:
-    """How all puzzles of each task went: one below the other if there are several."""
+    """Draw the results of all puzzles of each task, one task below the other."""
     sheets = [
         np.asarray(
             draw_sheet(
@@ -123,7 +120,7 @@ def overview(tables: Sequence[TaskTable]) -> Drawing:
             _draw_sorted(bars, table)
             hard.imshow(sheet)
             hard.set_axis_off()
-            hard.set_title("the hardest puzzles as they begin, by mean A-Success", fontsize=9)
+            hard.set_title("the hardest puzzles at the beginning, by mean A-Success", fontsize=9)
 
     return 13.0, 8.0 * len(tables), draw
 
@@ -134,10 +131,8 @@ def _draw_within(axes: "Axes", table: TaskTable) -> None:
     actions = np.arange(1, table.budget + 1)
     for number, agent in enumerate(table.agents):
         label = f"{agent.name}  {agent.run.record.a_success:.3f} ± {agent.run.record.a_success_half_width_95:.3f}"
-        axes.plot(
-            actions, agent.run.record.mean_return_within, STYLES[number % len(STYLES)], label=label,
-            color=COLOURS[number % len(COLOURS)],
-        )  # fmt: skip
+        colour, line = agent_style(number)
+        axes.plot(actions, agent.run.record.mean_return_within, line, color=colour, label=label)
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter("{x:g}")
     axes.xaxis.set_minor_formatter(NullFormatter())
@@ -148,7 +143,7 @@ def _draw_within(axes: "Axes", table: TaskTable) -> None:
 
 
 def _draw_solved(axes: "Axes", table: TaskTable) -> None:
-    """A row an agent, a column a puzzle, the hardest left: how much of its return was earned."""
+    """Draw a row per agent and a column per puzzle, hardest left: the earned share of the return."""
     from matplotlib.colors import ListedColormap
 
     place = {item: i for i, item in enumerate(table.hardest)}
@@ -164,14 +159,14 @@ def _draw_solved(axes: "Axes", table: TaskTable) -> None:
     axes.set_yticks(range(len(table.agents)), [agent.name for agent in table.agents], fontsize=8)
     axes.set_xlabel("puzzles, the hardest left")
     also = "; orange: ended in the danger patch" if table.task == "avoidance" else ""
-    axes.set_title(f"who earned what: dark nothing, yellow all of the return{also}", fontsize=9)
+    axes.set_title(f"earned share of the return: dark nothing, yellow all{also}", fontsize=9)
 
 
 def _draw_sorted(axes: "Axes", table: TaskTable) -> None:
     for number, agent in enumerate(table.agents):
-        style, hue = STYLES[number % len(STYLES)], COLOURS[number % len(COLOURS)]
+        colour, line = agent_style(number)
         values = np.sort(agent.run.values)[::-1]
-        axes.plot(np.arange(1, len(values) + 1), values, style, color=hue, label=agent.name)
-    axes.set(xlabel="puzzles, each agent's best left", ylim=(-0.02, 1.05))
+        axes.plot(np.arange(1, len(values) + 1), values, line, color=colour, label=agent.name)
+    axes.set(xlabel="puzzles, best of each agent left", ylim=(-0.02, 1.05))
     axes.set_title("A-Success of each puzzle", fontsize=9)
     axes.grid(alpha=0.25)

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from gym_open.errors import ArtefactError, UsageError
 from gym_open.evaluate.config import ReportConfig
 from gym_open.evaluate.report import write_report
-from gym_open.evaluate.report.figures import Drawn
+from gym_open.evaluate.report.figures import ReportFigure
 from gym_open.results.records import TrainingCurve, read_curve
 from gym_open.viz import curves
 from gym_open.viz.config import Choice, VizConfig
@@ -60,7 +60,9 @@ def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
 def report(benchmark: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The report of the same scores."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gym_open.evaluate.report.figures.draw", lambda _: [Drawn("none.svg", b"<svg/>", "none", "none")])
+        patch.setattr(
+            "gym_open.evaluate.report.figures.draw", lambda _: [ReportFigure("none.svg", b"<svg/>", "none", "none")]
+        )
         out = tmp_path_factory.mktemp("report") / "report"
         return write_report(ReportConfig(), [benchmark / "evaluate"], out).path
 

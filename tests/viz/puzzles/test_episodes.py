@@ -24,12 +24,12 @@ from gym_open.formats.models import load_policy
 from gym_open.formats.scores import EPISODES
 from gym_open.viz.config import Choice, VizConfig
 from gym_open.viz.puzzles import episodes, view
-from gym_open.viz.puzzles.episodes import Episode, play_all
+from gym_open.viz.puzzles.episodes import PuzzleEpisode, play_all
 
 SOLVED, GIVEN_UP, FAILED = (f"avoidance/{i:03d}" for i in range(3))
 
 
-def check_simulated(episode: Episode, puzzle: str) -> None:
+def check_simulated(episode: PuzzleEpisode, puzzle: str) -> None:
     """What was kept is what a fresh environment does."""
     env = OpenEnv("avoidance")
     image, info = env.reset(options={"puzzle": puzzle_by_id(puzzle)})
@@ -51,7 +51,7 @@ def test_scores_are_replayed_beside_the_witness(scores: Any) -> None:
     assert own.actions == scores.actions[0] == list(witness_of(SOLVED).actions) == witness.actions
     assert own.outcome == f"solved in {len(own.actions)} actions"
     assert own.returns.tolist() == [0.0, *np.cumsum(scores.rewards[0]).tolist()]
-    assert own.opinion is None
+    assert own.policy is None
     check_simulated(own, SOLVED)
     check_simulated(witness, SOLVED)
 
@@ -78,16 +78,16 @@ def test_the_policy_behind_scores_says_what_it_made_of_their_episode(scores: Any
     played = play_all(SOLVED, [scores.path, policy])
     assert [episode.name for episode in played.episodes] == ["small", "witness"]
     own = played.episodes[0]
-    assert own.opinion is not None
+    assert own.policy is not None
     network = load_policy(policy).eval()
     with torch.no_grad():
         logits, values = network(network.prepare(torch.from_numpy(own.images[:-1])))
     expected = torch.distributions.Categorical(logits=logits.double())
-    np.testing.assert_allclose(own.opinion.probabilities, expected.probs.numpy(), atol=1e-5)
-    np.testing.assert_allclose(own.opinion.entropy, expected.entropy().numpy(), atol=1e-5)
-    np.testing.assert_allclose(own.opinion.values, values.numpy(), atol=1e-5)
-    assert own.opinion.probabilities.shape == (own.steps, N_ACTIONS)
-    assert float(np.ptp(own.opinion.probabilities, axis=1).min()) > 0.01
+    np.testing.assert_allclose(own.policy.probabilities, expected.probs.numpy(), atol=1e-5)
+    np.testing.assert_allclose(own.policy.entropy, expected.entropy().numpy(), atol=1e-5)
+    np.testing.assert_allclose(own.policy.values, values.numpy(), atol=1e-5)
+    assert own.policy.probabilities.shape == (own.steps, N_ACTIONS)
+    assert float(np.ptp(own.policy.probabilities, axis=1).min()) > 0.01
 
 
 @pytest.mark.parametrize(("at", "paid"), [(0, 0.0), (-1, 1.0)])
@@ -115,7 +115,7 @@ def test_what_cannot_be_shown_is_refused(scores: Any, others: Any, policy: Path,
         play_all("tool-use/017", [policy])
     with pytest.raises(PuzzleError, match="no puzzle 'avoidance/17'"):
         play_all("avoidance/17", [policy])
-    with pytest.raises(UsageError, match="nobody to play it"):
+    with pytest.raises(UsageError, match="no source plays it"):
         play_all(SOLVED, [])
     with pytest.raises(ArtefactError, match="a log, which plays no puzzle of the evaluation"):
         play_all(SOLVED, [make_log()])

@@ -12,13 +12,13 @@ from gym_open.formats.pngs import decode_png
 from gym_open.viz import viewers
 from gym_open.viz.config import Choice, VizConfig
 from gym_open.viz.puzzles import view
-from gym_open.viz.puzzles.episodes import Puzzled, play_all
+from gym_open.viz.puzzles.episodes import PlayedPuzzle, play_all
 
 SOLVED = "avoidance/000"
 
 
 @pytest.fixture(scope="module")
-def played(scores: Any, policy: Path, others: Any) -> Puzzled:
+def played(scores: Any, policy: Path, others: Any) -> PlayedPuzzle:
     return play_all(SOLVED, [scores.path, policy, others.path])
 
 
@@ -31,7 +31,7 @@ def recording(
     return read_back(viewers.save(found, tmp_path_factory.mktemp("view") / "puzzle.rrd"))
 
 
-def test_every_agent_has_its_table_on_common_timelines(played: Puzzled, recording: Any) -> None:
+def test_every_agent_has_its_table_on_common_timelines(played: PlayedPuzzle, recording: Any) -> None:
     assert {"step", "sim_time"} <= recording.timelines()
     assert [episode.name for episode in played.episodes] == ["small", "other", "witness"]
     for number, episode in enumerate(played.episodes):
@@ -46,7 +46,7 @@ def test_every_agent_has_its_table_on_common_timelines(played: Puzzled, recordin
         np.testing.assert_array_equal(pictures, episode.images)
 
 
-def test_returns_go_on_to_the_end_of_the_longest(played: Puzzled, recording: Any) -> None:
+def test_returns_go_on_to_the_end_of_the_longest(played: PlayedPuzzle, recording: Any) -> None:
     for number, episode in enumerate(played.episodes):
         found = recording.scalars(f"/{number}/return")
         expected = dict(enumerate(np.concatenate([[0.0], np.cumsum(episode.rewards)]).tolist()))
@@ -56,7 +56,7 @@ def test_returns_go_on_to_the_end_of_the_longest(played: Puzzled, recording: Any
     assert recording.scalars("/1/return")[100] == 0.0
 
 
-def test_touches_and_ends_are_told_and_seen(played: Puzzled, recording: Any) -> None:
+def test_touches_and_ends_are_told_and_seen(played: PlayedPuzzle, recording: Any) -> None:
     end = played.episodes[0].steps
     assert recording.column("/events/0", "TextLog:text") == (
         [end],
@@ -69,19 +69,19 @@ def test_touches_and_ends_are_told_and_seen(played: Puzzled, recording: Any) -> 
     assert list(zip(steps, rgb, strict=True)) == [(0, c.COLOUR["yellow"]), (end, c.HIT_COLOUR["yellow"])]
 
 
-def test_what_the_policy_would_do(played: Puzzled, recording: Any) -> None:
+def test_what_the_policy_would_do(played: PlayedPuzzle, recording: Any) -> None:
     own = played.episodes[0]
-    assert own.opinion is not None
-    np.testing.assert_allclose(list(recording.scalars("/0/policy/entropy").values()), own.opinion.entropy)
+    assert own.policy is not None
+    np.testing.assert_allclose(list(recording.scalars("/0/policy/entropy").values()), own.policy.entropy)
     steps, bars = recording.column("/0/policy/probabilities", "BarChart:values")
     assert steps == list(range(own.steps))
     values = np.array([bar[0]["buffer"] for bar in bars])
-    np.testing.assert_allclose(values, own.opinion.probabilities)
+    np.testing.assert_allclose(values, own.policy.probabilities)
     _, arrows = recording.column("/0/table/policy", "Arrows3D:vectors")
     moves = np.array(c.MOVES[1:])
     diagonal = np.linalg.norm(moves, axis=1)
     np.testing.assert_allclose(
-        np.linalg.norm(np.array(arrows), axis=2), 0.3 * own.opinion.probabilities[:, 1:] * diagonal, atol=1e-6
+        np.linalg.norm(np.array(arrows), axis=2), 0.3 * own.policy.probabilities[:, 1:] * diagonal, atol=1e-6
     )
 
 

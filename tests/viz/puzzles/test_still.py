@@ -36,8 +36,8 @@ def test_a_puzzle_is_a_film_strip_of_each_agent(scores: Any, policy: Path, tmp_p
     picture = axes[f"action {end}: touches yellow_0"].get_images()[0].get_array()
     np.testing.assert_array_equal(picture, enlarged(played.episodes[0].images[-1], 280))
     (value,) = axes["value: return that the policy expects"].get_lines()
-    assert played.episodes[0].opinion is not None
-    values = played.episodes[0].opinion.values
+    assert played.episodes[0].policy is not None
+    values = played.episodes[0].policy.values
     np.testing.assert_array_equal(value.get_ydata(), [*values, values[-1]])  # the last holds until its action's end
     assert len(axes["return so far"].get_lines()) == 2
     assert write_still(PLAIN, sources, Choice(puzzle="avoidance/000"), tmp_path / "a.png").is_file()
