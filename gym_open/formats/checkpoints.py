@@ -1,4 +1,4 @@
-"""Checkpoints: one safetensors file of named tensors, with the rest as JSON in its header. No pickle, ever."""
+"""Checkpoints: one safetensors file with named tensors and everything else as JSON in its header. No pickle."""
 
 import json
 from pathlib import Path
@@ -13,15 +13,15 @@ from gym_open.errors import ArtefactError
 from gym_open.files import write_atomically
 
 _META = "gym_open"
-"""The one key of the header's metadata: with several, safetensors would not write them in a fixed order."""
+"""The only key of the header's metadata; safetensors does not write several keys in a fixed order."""
 
 
 def save_checkpoint(path: Path, tensors: dict[str, Tensor], meta: dict[str, Any]) -> None:
-    """Write `tensors` and JSON-ready `meta` to `path`; a reader sees the old checkpoint or the new one.
+    """Write `tensors` and JSON-ready `meta` to `path`; readers see either the old or the new checkpoint.
 
-    Equal contents give equal bytes. Integers in `meta` may be of any size (NumPy's generators hold 128 bits).
+    Equal contents give equal bytes. Integers in `meta` may have any size; NumPy's generators have 128 bits.
     """
-    # Tensors that share memory (one encoder under two owners) are refused by safetensors: give each its own copy.
+    # safetensors refuses tensors that share memory (one encoder with two owners), so each gets its own copy.
     own = {name: tensor.detach().clone(memory_format=torch.contiguous_format) for name, tensor in tensors.items()}
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, save(own, metadata={_META: json.dumps(meta, sort_keys=True)}))
@@ -47,31 +47,31 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
 
 
 def optimizer_tensors(optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:
-    """All of Adam's state as `<index of the parameter>.<name>`, for example `3.exp_avg`."""
+    """Adam's state as `<index of the parameter>.<name>`, for example `3.exp_avg`."""
     state = optimizer.state_dict()["state"]
     return {f"{index}.{name}": value for index, values in state.items() for name, value in values.items()}
 
 
 def load_optimizer(optimizer: torch.optim.Optimizer, tensors: dict[str, Tensor]) -> None:
-    """Restore Adam's state from what `optimizer_tensors` gave; learning rates stay as they are."""
+    """Restore Adam's state from the result of `optimizer_tensors`; learning rates stay unchanged."""
     weights = [weight for group in optimizer.param_groups for weight in group["params"]]
     state: dict[int, dict[str, Tensor]] = {}
     for name, value in tensors.items():
         index, field = name.split(".", 1)
         weight = weights[int(index)]
-        # A fused step takes weight and moments as they lie in memory, so they must lie alike; files are row by row.
+        # A fused step needs weight and moments in the same memory layout; files store them row by row.
         own = torch.empty_like(weight, requires_grad=False).copy_(value) if value.shape == weight.shape else value
         state.setdefault(int(index), {})[field] = own
     optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
 
 
 def prefixed(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
-    """The same tensors, each name behind `prefix/`."""
+    """The same tensors, with `prefix/` before each name."""
     return {f"{prefix}/{name}": tensor for name, tensor in tensors.items()}
 
 
 def without_prefix(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Those tensors whose name is behind `prefix/`, under their name without it."""
+    """The tensors whose name begins with `prefix/`, under the name without it."""
     return {
         name.removeprefix(f"{prefix}/"): tensor for name, tensor in tensors.items() if name.startswith(f"{prefix}/")
     }

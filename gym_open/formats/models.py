@@ -1,4 +1,4 @@
-"""Encoders and policies on disk: `model.safetensors` (tensors) beside `model.json` (what they are tensors of)."""
+"""Encoders and policies on disk: `model.safetensors` (tensors) and `model.json` (architecture)."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -27,7 +27,7 @@ class EncoderArchitecture(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
 
     def __post_init__(self) -> None:
         if self.encoder.architecture == "state":
-            raise ValueError("`encoder.architecture` 'state' looks at no picture")
+            raise ValueError("`encoder.architecture` 'state' takes no images")
 
 
 class PolicyArchitecture(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -42,26 +42,26 @@ A = TypeVar("A", EncoderArchitecture, PolicyArchitecture)
 
 
 def encoder_folder(artefact: Path) -> Path:
-    """Where the encoder is that the artefact holds: an encoder itself, or in a log what the explorer's had become."""
+    """Folder of an artefact's encoder: `encoder/` in a log with its explorer's encoder, else the artefact itself."""
     own = artefact / "encoder"
     return own if (own / ARCHITECTURE).is_file() else artefact
 
 
 def policy_folder(artefact: Path, step: int) -> Path:
-    """Where a policy artefact keeps the policy as it was after `step` steps."""
+    """Folder of the policy after `step` steps in a policy artefact."""
     return artefact / "checkpoints" / f"{step:09d}"
 
 
 def save_encoder(folder: Path, encoder: Encoder) -> None:
-    """Write an encoder, its mean picture included, into `folder`."""
+    """Write an encoder, including its mean image, into `folder`."""
     _save(folder, encoder, EncoderArchitecture(encoder=encoder.config))
 
 
 def load_encoder(artefact: Path) -> Encoder:
-    """Read the encoder in the folder `artefact`, or what the explorer's had become if that is a log.
+    """Read the encoder in the folder `artefact`; if that is a log, its explorer's encoder.
 
     Raises:
-        ArtefactError: if a file is missing or damaged, or a tensor is not what the architecture says.
+        ArtefactError: if a file is missing or damaged, or a tensor does not fit the architecture.
     """
     folder = encoder_folder(artefact)
     encoder = Encoder(read_architecture(folder, EncoderArchitecture).encoder, torch.Generator())
@@ -70,7 +70,7 @@ def load_encoder(artefact: Path) -> Encoder:
 
 
 def save_policy(folder: Path, policy: ActorCritic) -> None:
-    """Write a policy, its encoder included, into `folder`."""
+    """Write a policy, including its encoder, into `folder`."""
     _save(folder, policy, PolicyArchitecture(encoder=policy.encoder.config, n_actions=policy.n_actions))
 
 
@@ -78,7 +78,7 @@ def load_policy(artefact: Path) -> ActorCritic:
     """Read the policy in the folder `artefact`.
 
     Raises:
-        ArtefactError: if a file is missing or damaged, or a tensor is not what the architecture says.
+        ArtefactError: if a file is missing or damaged, or a tensor does not fit the architecture.
     """
     found = read_architecture(artefact, PolicyArchitecture)
     policy = ActorCritic(make_encoder(found.encoder, torch.Generator()), found.n_actions, torch.Generator())
@@ -87,10 +87,10 @@ def load_policy(artefact: Path) -> ActorCritic:
 
 
 def read_architecture(artefact: Path, kind: type[A]) -> A:
-    """What model the folder `artefact` holds, without its weights.
+    """Read the architecture of the model in the folder `artefact`.
 
     Raises:
-        ArtefactError: if it is missing, damaged, or not of this kind.
+        ArtefactError: if the file is missing, damaged, or of another kind of model.
     """
     path = artefact / ARCHITECTURE
     try:
@@ -103,13 +103,13 @@ def read_architecture(artefact: Path, kind: type[A]) -> A:
         names = {"encoder": "an encoder", "policy": "a policy"}
         wanted = names.pop("encoder" if kind is EncoderArchitecture else "policy")
         with suppress(msgspec.DecodeError):
-            if given := names.get(msgspec.json.decode(data, type=_Kind).kind):
+            if given := names.get(msgspec.json.decode(data, type=_ModelKind).kind):
                 raise ArtefactError(f"{artefact}: {given}, not {wanted}; give the folder of {wanted}") from None
         raise ArtefactError(f"{path}: not {wanted} as gym-open writes it: {error}") from None
 
 
-class _Kind(msgspec.Struct, frozen=True):
-    """What a model.json is of, whatever else it says."""
+class _ModelKind(msgspec.Struct, frozen=True):
+    """The kind of model in a model.json; all other fields are ignored."""
 
     kind: str
 
@@ -120,8 +120,8 @@ def _no_model(folder: Path) -> str:
     with suppress(ArtefactError):
         if lineage(folder).kind == "log":
             return (
-                f"{folder}: a log without an encoder, since its explorer learned none (random play does not); give an "
-                "encoder, or a log of another explorer"
+                f"{folder}: a log without an encoder, since its explorer learned none (a random explorer learns "
+                "nothing); give an encoder, or a log of another explorer"
             )
     return f"{folder / ARCHITECTURE}: missing, so there is no model here; train one or give its folder"
 

@@ -119,7 +119,7 @@ def test_a_folder_that_holds_something_else_is_told_what(tmp_path: Path) -> None
 
 def test_a_log_of_random_play_has_no_encoder(tmp_path: Path) -> None:
     log = artefacts.build(tmp_path / "log", kind="log", config=Config(), parents=(), work=lambda _: {}).path
-    with pytest.raises(ArtefactError, match=r"/log: a log without an encoder.*random play"):
+    with pytest.raises(ArtefactError, match=r"/log: a log without an encoder.*random explorer"):
         load_encoder(log)
     other = artefacts.build(tmp_path / "toy", kind="toy", config=Config(), parents=(), work=lambda _: {}).path
     with pytest.raises(ArtefactError, match=r"model\.json: missing, so there is no model here"):

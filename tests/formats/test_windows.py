@@ -204,7 +204,7 @@ def test_a_release_that_changes_under_an_open_one_is_refused(
     shutil.rmtree(root)
     build_release(CONFIG, [make_log(lengths=((9, 12, 3),), seed=12)], root)
     for use in (lambda: Pictures(opened), lambda: pickle.loads(sent)):
-        with pytest.raises(ArtefactError, match="is another release since it was opened"):
+        with pytest.raises(ArtefactError, match="has changed since it was opened"):
             use()
 
 

@@ -1,4 +1,4 @@
-"""Dataset releases on disk: their layout, their features, and the one reader that everyone uses."""
+"""Dataset releases on disk: their layout, their features, and their reader."""
 
 from gym_open.formats.releases.episodes import EpisodeData
 from gym_open.formats.releases.layout import IMAGE, INFO_PATH, Table

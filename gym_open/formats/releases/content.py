@@ -1,10 +1,10 @@
-"""Digests of what a release holds: the same under other compression, row groups, PNG encoders or cuts into files.
+"""Digests of the content of a release; compression, row groups, PNG encoder and division into files do not matter.
 
-    feature   SHA-256 over {"dtype", "shape"} and the frames' values, little-endian, in C order; pictures as decoded RGB
-    episode   SHA-256 over its features' digests and what is known of it; the same wherever in a release it stands
-    release   SHA-256 over the features' description, the episodes in their order, and our tables
+    feature   SHA-256 over {"dtype", "shape"} and the frames' values, little-endian, in C order; images as decoded RGB
+    episode   SHA-256 over its features' digests and `EPISODE_FACTS`; its position in the release does not matter
+    release   SHA-256 over the features' description, the episodes in order, and our tables
 
-All of them in hex. What stands for "digests of a file" depends on how the release is cut into files, the others do not.
+All digests are in hex. Only `data_file_digest` depends on the division into files.
 """
 
 import hashlib
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 EPISODE_FACTS = ("puzzle", "explorer", "world", "steps", "continued", "ended", "split")
-"""Columns of `meta/episodes` that are a part of an episode's content."""
+"""Columns of `meta/episodes` that belong to an episode's content."""
 EPISODE_PLACES = ("stream", "segment", "piece", "first_step")
-"""Columns of `meta/episodes` that say where in the play an episode comes from: a part of the release's content."""
+"""Columns of `meta/episodes` that say where an episode was recorded; they belong to the release's content."""
 
 
 class _Hash(Protocol):
@@ -34,7 +34,7 @@ def _sha256(value: Any) -> str:
 
 
 def feature_digest(values: np.ndarray) -> str:
-    """Content digest of one feature in one episode: `values` has a row a frame."""
+    """Content digest of one feature in one episode; `values` has one row per frame."""
     array = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
     total = hashlib.sha256(canonical_json({"dtype": array.dtype.name, "shape": list(array.shape)}))
     total.update(array.data)
@@ -45,19 +45,19 @@ def episode_digest(features: Mapping[str, str], row: Mapping[str, Any]) -> str:
     """Content digest of an episode.
 
     Args:
-        features: `feature_digest` of each feature but the bookkeeping.
-        row: its row of `meta/episodes`, of which `EPISODE_FACTS` count.
+        features: `feature_digest` of each feature except `BOOKKEEPING`.
+        row: the episode's row of `meta/episodes`; only the columns `EPISODE_FACTS` are used.
     """
     return _sha256({"features": dict(features), **{name: row[name] for name in EPISODE_FACTS}})
 
 
 def data_file_digest(episodes: Sequence[str]) -> str:
-    """Content digest of a data file (or of the video beside it) that holds these episodes, by their digests."""
+    """Content digest of a data file, or of its video, from the digests of its episodes."""
     return _sha256(list(episodes))
 
 
 def table_digest(table: "pa.Table") -> str:
-    """Content digest of a table: names, types and values of its columns, in the order of their names."""
+    """Content digest of a table: names, types and values of its columns, sorted by name."""
     total = hashlib.sha256()
     for name in sorted(table.column_names):
         column = table.column(name).combine_chunks()
@@ -72,10 +72,10 @@ def release_digest(
     """Content digest of a release.
 
     Args:
-        features: LeRobot's description of the features, of which `dtype`, `shape` and `names` count.
-        episodes: digests of the episodes, in their order.
+        features: LeRobot's description of the features; only `dtype`, `shape` and `names` are used.
+        episodes: digests of the episodes, in order.
         places: the columns `EPISODE_PLACES` of `meta/episodes`.
-        tables: all rows of each of our tables but `content`, which holds digests itself.
+        tables: all rows of each of our tables except `content`, which itself holds digests.
     """
     described = {name: {key: item[key] for key in ("dtype", "shape", "names")} for name, item in features.items()}
     return _sha256(
@@ -89,12 +89,12 @@ def release_digest(
 
 
 def payload_digest(manifest: Mapping[str, Any]) -> str:
-    """SHA-256 of a manifest without the records of code, packages and inputs: it outlives unrelated changes of code."""
+    """SHA-256 of a manifest without `RECORDS` and signature, so that unrelated changes of code do not affect it."""
     return _sha256({name: entry for name, entry in manifest.items() if name not in {*RECORDS, SIGNATURE}})
 
 
 def _kind(kind: "pa.DataType") -> str:
-    """Name of a type, whatever Arrow calls the items of its lists."""
+    """Name of a type, independent of Arrow's name for the items of a list."""
     import pyarrow as pa
 
     if pa.types.is_list(kind):
@@ -103,11 +103,11 @@ def _kind(kind: "pa.DataType") -> str:
         return f"list<{_kind(kind.value_type)}, {kind.list_size}>"
     if pa.types.is_struct(kind):
         return f"struct<{', '.join(f'{field.name}: {_kind(field.type)}' for field in kind.fields)}>"
-    return str(kind).removeprefix("large_")  # as pandas has text
+    return str(kind).removeprefix("large_")  # pandas stores text as large_string
 
 
 def _add(total: _Hash, array: "pa.Array") -> None:
-    """Values of a column, null or not, of numbers, text, lists and structures."""
+    """Add the values of a column of numbers, text, lists or structs, and which of them are null."""
     import pyarrow as pa
 
     if array.null_count:

@@ -1,4 +1,4 @@
-"""What a frame of a release holds: LeRobot features, and the Arrow schema that carries them."""
+"""Features of a release's frames: LeRobot's description and the Arrow schema."""
 
 from collections.abc import Sequence
 from typing import Any, Literal
@@ -12,13 +12,13 @@ from gym_open.formats.releases.layout import IMAGE, PART
 STATE_FIELDS = ("x", "y", "z", "qw", "qx", "qy", "qz", "vx", "vy", "vz", "wx", "wy", "wz")
 """Position (m), quaternion, linear velocity (m/s), angular velocity (rad/s) of one object, in the world frame."""
 ACTION_NAMES = ("stay", "east", "northeast", "north", "northwest", "west", "southwest", "south", "southeast")
-"""Of `envs.constants.MOVES`; north is away from the camera."""
+"""Names of `envs.constants.MOVES`; north is away from the camera."""
 
 Features = dict[str, dict[str, Any]]
 
 
 def fps() -> int | float:
-    """Steps a simulated second; an int where it is one, as LeRobot likes it."""
+    """Steps per simulated second; an int if it is a whole number, as LeRobot expects."""
     rate = round(1 / CONTROL_DT_S, 9)
     return int(rate) if rate == int(rate) else rate
 
@@ -30,8 +30,8 @@ def features(
 
     Args:
         object_names: movable objects of the model.
-        reward_parts: what intrinsic rewards are made of.
-        pictures: PNG files, or video of a form that the writer adds under `info`.
+        reward_parts: names of the parts of intrinsic rewards.
+        pictures: whether images are PNG files or video.
     """
     scalars = {
         "action.index": "int64",
@@ -55,7 +55,7 @@ def features(
     }
     names = [f"{name}.{field}" for name in object_names for field in STATE_FIELDS]
     return {
-        IMAGE: _picture(pictures),
+        IMAGE: _image(pictures),
         "observation.state": _vector(STATE_FIELDS),
         "observation.environment_state": _vector(names),
         "action": _vector(ACTION_NAMES),
@@ -63,7 +63,7 @@ def features(
     }
 
 
-def _picture(kind: Literal["png", "video"]) -> dict[str, Any]:
+def _image(kind: Literal["png", "video"]) -> dict[str, Any]:
     described = {"shape": [IMAGE_SIZE, IMAGE_SIZE, 3], "names": ["height", "width", "channels"]}
     if kind == "png":
         return {"dtype": "image", **described}
@@ -88,20 +88,20 @@ def _vector(names: Sequence[str]) -> dict[str, Any]:
 
 
 def objects(described: Features) -> list[str]:
-    """The names that `features` was given."""
+    """The object names from which `features` made this description."""
     names = described["observation.environment_state"]["names"]
     return [name.removesuffix(f".{STATE_FIELDS[0]}") for name in names[:: len(STATE_FIELDS)]]
 
 
 def numeric(described: Features) -> list[str]:
-    """All features but the picture."""
+    """Names of all features except the image."""
     return [name for name in described if name != IMAGE]
 
 
 def schema(described: Features) -> pa.Schema:
-    """Arrow schema of the data files, columns in the order of their names, as JSON has them.
+    """Arrow schema of the data files, with columns sorted by name, as in the JSON.
 
-    Its metadata lets Hugging Face's `datasets` decode pictures. It holds no fingerprint: that would depend on the path.
+    Its metadata lets Hugging Face's `datasets` decode images. It has no fingerprint, which would depend on the path.
     """
     assert len(ACTION_NAMES) == N_ACTIONS
     fields, hub = [], {}

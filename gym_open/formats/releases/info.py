@@ -1,4 +1,4 @@
-"""`meta/info.json`, held to what a release of this format says in it: nothing else is ever followed."""
+"""Reader of `meta/info.json` that refuses every value which a release of this format cannot have."""
 
 from collections.abc import Iterable
 from itertools import groupby
@@ -20,7 +20,7 @@ from gym_open.formats.releases.layout import (
 )
 
 MAX_JSON_BYTES = 2**26
-"""A JSON file above this size is refused: the largest of a release of 2 million steps has 100 kB."""
+"""Larger JSON files are refused. The largest JSON file of a release with 2 million steps has 100 kB."""
 _MAX_COUNT = 2**40
 
 Count = Annotated[int, Meta(ge=1, le=_MAX_COUNT)]
@@ -32,15 +32,15 @@ _THING = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_:.-]+$", max_length=100)]
 
 
 class _VideoError(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Of all pixels against the logged ones, in levels of 255; PSNR in dB, none if there is no error."""
+    """Error of all pixels against the logged ones, in levels of 255; PSNR in dB, None without any error."""
 
     mean: Annotated[float, Meta(ge=0, le=255)]
     max: Annotated[float, Meta(ge=0, le=255)]
     psnr: Annotated[float, Meta(ge=0, le=1000)] | None
 
 
-class Ours(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What is our own in `meta/info.json`."""
+class _GymOpenInfo(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Our own part of `meta/info.json`."""
 
     format: Text
     name: _NAMESPACED
@@ -56,7 +56,7 @@ class Ours(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     video_error: _VideoError | msgspec.UnsetType = msgspec.UNSET
 
 
-class _Info(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class _ReleaseInfo(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     codebase_version: Text
     robot_type: Text
     total_episodes: Count
@@ -70,30 +70,30 @@ class _Info(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     data_path: Text
     video_path: Text | None
     features: Annotated[dict[Text, Any], Meta(max_length=1000)]
-    gym_open: Ours
+    gym_open: _GymOpenInfo
 
 
 def read_json(path: Path, kind: Any) -> Any:
-    """A JSON file of a release, held to a type.
+    """Read a JSON file of a release as the type `kind`.
 
     Raises:
         ArtefactError: if it is missing, a link, too large, nested too deeply, or not of that type.
     """
     try:
         if path.is_symlink() or not path.is_file():
-            raise ArtefactError(f"{path}: missing, or a link; get the release anew")
+            raise ArtefactError(f"{path}: missing, or a link; get the release again")
         if (size := path.stat().st_size) > MAX_JSON_BYTES:
-            raise ArtefactError(f"{path}: {size:,} bytes, at most {MAX_JSON_BYTES:,} are allowed; get the release anew")
+            raise ArtefactError(f"{path}: {size:,} bytes, the limit is {MAX_JSON_BYTES:,}; get the release again")
         return msgspec.json.decode(path.read_bytes(), type=kind)
     except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ArtefactError(f"{path}: not readable: {error}; build the release again") from None
 
 
 def read_info(root: Path) -> dict[str, Any]:
-    """`meta/info.json` of the release at `root`, every field of it checked.
+    """Read `meta/info.json` of the release at `root` and check every field.
 
     Raises:
-        ArtefactError: naming the field, what was expected and what came.
+        ArtefactError: names the field, the expected value and the found value.
     """
     path = root / INFO_PATH
     raw = read_json(path, dict[str, Any])
@@ -105,15 +105,15 @@ def read_info(root: Path) -> dict[str, Any]:
         if found != expected:
             raise ArtefactError(f"{path}: {field} must be {expected!r}, got {str(found)[:100]!r}; build it again")
     try:
-        info = msgspec.convert(raw, _Info, strict=True)
+        info = msgspec.convert(raw, _ReleaseInfo, strict=True)
     except msgspec.ValidationError as error:
         raise ArtefactError(f"{path}: {error}; build the release again") from None
     _check(path, info)
     return raw
 
 
-def _check(path: Path, info: _Info) -> None:
-    """Raises ArtefactError if a field is not what follows from the others."""
+def _check(path: Path, info: _ReleaseInfo) -> None:
+    """Raises ArtefactError if a field contradicts the others."""
     from gym_open.formats.releases.features import features, fps
 
     video = info.gym_open.pictures == "video"
@@ -128,7 +128,7 @@ def _check(path: Path, info: _Info) -> None:
     }
     for field, wanted in expected.items():
         if (found := getattr(info, field)) != wanted:
-            raise ArtefactError(f"{path}: {field} must be {wanted!r}, got {found!r}; no other is ever followed")
+            raise ArtefactError(f"{path}: {field} must be {wanted!r}, got {found!r}; no other value is allowed")
     for name in sorted(info.features.keys() | described.keys()):
         if info.features.get(name) != described.get(name):
             raise ArtefactError(
@@ -137,16 +137,16 @@ def _check(path: Path, info: _Info) -> None:
             )
     if info.total_episodes > info.total_frames:
         raise ArtefactError(
-            f"{path}: {info.total_episodes:,} episodes of at least one frame do not go into "
+            f"{path}: {info.total_episodes:,} episodes of at least one frame do not fit into "
             f"{info.total_frames:,} frames; build the release again"
         )
 
 
 def split_ranges(splits: Iterable[str]) -> dict[str, str]:
-    """Ranges of episodes of each split, as LeRobot writes one: "0:10", and "0:10,14:20" after an append.
+    """Ranges of episodes per split in LeRobot's form: "0:10", or "0:10,14:20" after an append.
 
     Args:
-        splits: of every episode, in order.
+        splits: the split of every episode, in order.
     """
     found: dict[str, list[str]] = {}
     first = 0

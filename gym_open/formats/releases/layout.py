@@ -1,4 +1,4 @@
-"""Names of what a release is made of: `gym-open-release/2`, a LeRobot v3.0 folder with tables of our own."""
+"""Names of files and tables of a release: `gym-open-release/2`, a LeRobot v3.0 folder with tables of our own."""
 
 import re
 from typing import Literal, get_args
@@ -8,21 +8,21 @@ CODEBASE_VERSION = "v3.0"
 """LeRobot's version of its layout."""
 
 IMAGE = "observation.image"
-"""Feature that holds the picture; all others are numbers."""
+"""Feature that holds the image; all other features are numbers."""
 PART = "reward_part."
-"""What features are called, with its name after it, that hold a part of the intrinsic reward."""
+"""Prefix of the features that hold a part of the intrinsic reward; the part's name follows."""
 BOOKKEEPING = ("index", "episode_index", "task_index")
-"""Features that number what there is: where an episode stands in a release, nothing of what it holds."""
+"""Features that only number frames, episodes and tasks; they do not belong to the content."""
 
 MAX_EPISODE_STEPS = 51_199
-"""LeRobot wants times to 0.1 ms, which float32 has up to 2,048 s. It bounds memory, too."""
+"""LeRobot needs times exact to 0.1 ms, which float32 gives up to 2,048 s. The limit also bounds memory."""
 
 Split = Literal["train", "val"]
 SPLITS: tuple[Split, ...] = get_args(Split)
 """In the order in which a batch holds them."""
 Table = Literal["streams", "worlds", "switches", "segments", "keyframes", "content"]
 TABLES: tuple[Table, ...] = get_args(Table)
-"""Tables of our own beside LeRobot's: the files of `meta/<name>`."""
+"""Our own tables, in addition to LeRobot's: the files of `meta/<name>`."""
 
 INFO_PATH, STATS_PATH, TASKS_PATH = "meta/info.json", "meta/stats.json", "meta/tasks.parquet"
 DIGESTS_PATH = "meta/digests.json"
@@ -30,14 +30,14 @@ EPISODES_PATHS = "meta/episodes/chunk-000/file-*.parquet"
 DATA_PATHS, VIDEO_PATHS = "data/chunk-*/file-*.parquet", f"videos/{IMAGE}/chunk-*/file-*.mp4"
 DATA_TEMPLATE = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_TEMPLATE = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
-"""What LeRobot fills in to find a file. No other template is ever read."""
+"""Templates from which LeRobot makes file names. Our reader accepts no other template."""
 MAX_FILES = 1000
-"""Files in a folder, and folders of files: their numbers have three digits."""
+"""Greatest number of files per folder and of such folders: their numbers have three digits."""
 
 CARD, LICENSE, CHANGELOG, CROISSANT = "README.md", "LICENSE", "CHANGELOG.md", "croissant.json"
 PROVENANCE, SIGNATURE = "provenance.json", "signature.json"
 RECORDS = ("config.json", "lineage.json", "manifest.json", PROVENANCE)
-"""Files that say which code, packages and inputs made a release. All others are its payload."""
+"""Files that say which code, packages and inputs made a release. All other files are its payload."""
 
 _NUMBERED = r"chunk-\d{3}/file-\d{3}"
 _MEMBER = re.compile(
@@ -58,7 +58,7 @@ _MEMBER = re.compile(
 
 
 def belongs(name: str) -> bool:
-    """Whether a release may hold a file of this name, relative to its folder and with forward slashes."""
+    """Whether a release may hold a file with this name, relative to its folder and with forward slashes."""
     return _MEMBER.fullmatch(name) is not None
 
 
@@ -68,15 +68,15 @@ def data_path(chunk: int, file: int) -> str:
 
 
 def video_path(chunk: int, file: int) -> str:
-    """Name of the file with the pictures of the data file with the same numbers."""
+    """Name of the video that belongs to the data file with the same numbers."""
     return VIDEO_TEMPLATE.format(video_key=IMAGE, chunk_index=chunk, file_index=file)
 
 
 def episodes_path(batch: int) -> str:
-    """Name of the file with a batch's rows of `meta/episodes`."""
+    """Name of the file with the rows of a batch in `meta/episodes`."""
     return f"meta/episodes/chunk-000/file-{batch:03d}.parquet"
 
 
 def table_path(name: Table, batch: int) -> str:
-    """Name of the file with a batch's rows of one of our tables."""
+    """Name of the file with the rows of a batch in one of our tables."""
     return f"meta/{name}/file-{batch:03d}.parquet"

@@ -1,9 +1,10 @@
-"""Parquet files of releases, opened as what they are until they are verified: anybody's.
+"""Safe reader of the parquet files of releases, which are untrusted until they are verified.
 
-A few bytes can claim to be a lot: a footer of any length, rows without number, a dictionary with one long word that
-every row repeats, runs of a billion nulls. So the footer's length is looked at before it is parsed, and the header of
-every page before the page is unpacked. Allowed is what our writer makes: plain values, Snappy or no compression. Snappy
-gives at most 64 bytes for 3, plain values have their size, so memory is bounded by the size of the file.
+A few bytes can claim to be large: a footer of any length, any number of rows, a dictionary with one long word that
+every row repeats, runs of a billion nulls. Therefore this module checks the footer's length before it parses the
+footer, and the header of every page before it unpacks the page. It allows only what our writer makes: plain values,
+with Snappy or without compression. Snappy makes at most 64 bytes from 3, and plain values have a fixed size. So the
+size of the file bounds the memory.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,29 +18,29 @@ if TYPE_CHECKING:  # heavy, and needed only when something is read
     import pyarrow.parquet as pq
 
 MAX_FOOTER_BYTES = 2**24
-"""A file of 2 GiB of our frames has a footer of some 2 MB."""
+"""A file of 2 GiB of our frames has a footer of about 2 MB."""
 MAX_GROUP_BYTES = 2**31
-"""Most that a row group may unpack to."""
+"""Greatest unpacked size of a row group."""
 _MAGIC = b"PAR1"
 _CODECS = ("SNAPPY", "UNCOMPRESSED")
 _SNAPPY_RATIO = 22
 _PLAIN, _RLE = 0, 3
 _DATA_PAGES = (0, 3)
-"""Types of page: data (version 1 and 2). An index has 1, a dictionary 2."""
+"""Types of data pages, versions 1 and 2. An index page has type 1, a dictionary page 2."""
 _HEADER_BYTES = 2**16
-"""A page's header has some 50 bytes, and its least and greatest value if they are short."""
-_REMEDY = "it is damaged or not of gym-open; get the release anew"
+"""Bytes read for a page's header. It has about 50 bytes, plus the least and greatest value if they are short."""
+_REMEDY = "it is damaged or not from gym-open; get the release again"
 
 
 class ParquetError(ArtefactError):
-    """A parquet file is damaged, or is not as our writer makes it."""
+    """A parquet file is damaged, or our writer cannot have made it."""
 
 
 def metadata(path: Path) -> "pq.FileMetaData":
-    """The footer of the file at `path`, if its length, its counts and its places can be.
+    """Read the footer of the file at `path` and check its length, counts and offsets.
 
     Raises:
-        ParquetError: if the file is missing, no parquet, or its footer cannot be that of our writer.
+        ParquetError: if the file is missing or not parquet, or our writer cannot have made its footer.
     """
     with opened(path) as file:
         return file.metadata
@@ -48,16 +49,16 @@ def metadata(path: Path) -> "pq.FileMetaData":
 def read(
     path: Path, schema: "pa.Schema | None", columns: Sequence[str] | None = None, groups: Sequence[int] | None = None
 ) -> "pa.Table":
-    """Columns and row groups (all, if not given) of the file at `path`, in the order of the schema.
+    """Read columns and row groups (default all) of the file at `path`, in the order of the schema.
 
     Args:
         path: of the file.
-        schema: the columns that the file must have, in whatever order; None for those that it has.
-        columns: names; a part of a struct as `name.part`.
+        schema: the columns that the file must have, in any order; None accepts any columns.
+        columns: names of columns; `name.part` for a part of a struct.
         groups: numbers of row groups.
 
     Raises:
-        ParquetError: if the file is missing, damaged, of another schema, or would unpack to what it cannot hold.
+        ParquetError: if the file is missing, damaged, of another schema, or would unpack to more than it can hold.
     """
     import pyarrow as pa
 
@@ -74,15 +75,15 @@ def read(
         except (pa.ArrowException, OSError) as error:
             raise ParquetError(f"{path}: cannot be unpacked: {error}; {_REMEDY}") from None
     if len(table) != sum(rows[group] for group in chosen):
-        raise ParquetError(f"{path}: {len(table)} rows where its footer tells of others; {_REMEDY}")
+        raise ParquetError(f"{path}: {len(table)} rows, which is not the number in its footer; {_REMEDY}")
     return table.select([name for name in expected.names if name in table.column_names])
 
 
 def opened(path: Path) -> "pq.ParquetFile":
-    """The file at `path`, its footer checked; its pages are not yet (`check_pages`).
+    """Open the file at `path` and check its footer; `check_pages` checks its pages.
 
     Raises:
-        ParquetError: as `metadata` does.
+        ParquetError: see `metadata`.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -115,26 +116,26 @@ def opened(path: Path) -> "pq.ParquetFile":
 
 
 def _check_footer(path: Path, found: "pq.FileMetaData", size: int, end: int) -> None:
-    """Raises ParquetError if a count or a place in a footer cannot be right; pages end before the byte `end`."""
+    """Raises ParquetError if a count or offset in a footer is impossible; pages end before the byte `end`."""
     rows = [found.row_group(number).num_rows for number in range(found.num_row_groups)]
     if min(rows, default=0) < 0 or sum(rows) != found.num_rows or not 0 <= found.num_rows <= size:
         raise ParquetError(f"{path}: {found.num_rows:,} rows in {size:,} bytes and {len(rows)} groups; {_REMEDY}")
     for number in range(found.num_row_groups):
         group, total = found.row_group(number), 0
-        for place in range(group.num_columns if group.num_rows else 0):  # one without rows is never read
+        for place in range(group.num_columns if group.num_rows else 0):  # a group without rows is never read
             chunk = group.column(place)
             total += chunk.total_uncompressed_size
             start, length = chunk.data_page_offset, chunk.total_compressed_size
             if chunk.file_path or chunk.has_dictionary_page or chunk.compression not in _CODECS:
                 raise ParquetError(
-                    f"{path}: column {chunk.path_in_schema!r} has a dictionary, lies in another file or is compressed "
+                    f"{path}: column {chunk.path_in_schema!r} has a dictionary, is in another file or is compressed "
                     f"with {chunk.compression}; {_REMEDY}"
                 )
             if not (start >= 4 and length >= 0 and start + length <= end and chunk.total_uncompressed_size >= 0):
-                raise ParquetError(f"{path}: column {chunk.path_in_schema!r} lies outside of the file; {_REMEDY}")
+                raise ParquetError(f"{path}: column {chunk.path_in_schema!r} lies outside the file; {_REMEDY}")
         if total > MAX_GROUP_BYTES:
             raise ParquetError(
-                f"{path}: row group {number} says that it unpacks to {total:,} bytes, at most {MAX_GROUP_BYTES:,} are "
+                f"{path}: row group {number} claims to unpack to {total:,} bytes, at most {MAX_GROUP_BYTES:,} are "
                 f"allowed; {_REMEDY}"
             )
 
@@ -142,10 +143,10 @@ def _check_footer(path: Path, found: "pq.FileMetaData", size: int, end: int) -> 
 def check_pages(
     path: Path, found: "pq.FileMetaData", columns: Sequence[str] | None = None, groups: Sequence[int] | None = None
 ) -> None:
-    """Look at the header of every page of some columns and row groups (all, if not given) before they are unpacked.
+    """Check the header of every page of some columns and row groups (default all) before they are unpacked.
 
     Raises:
-        ParquetError: if a page is not as our writer makes it, or its size or number of values cannot be right.
+        ParquetError: if our writer cannot have made a page, or its size or number of values is impossible.
     """
     wanted = None if columns is None else set(columns)
     with path.open("rb") as file:
@@ -163,14 +164,14 @@ def check_pages(
 
 
 def _within(path: str, names: set[str]) -> bool:
-    """Whether a path is one of the names or a part of one; names may have dots in them, too."""
+    """Whether a path is one of the names or a part of one of them; names may contain dots."""
     while path and path not in names:
         path = path.rpartition(".")[0]
     return bool(path)
 
 
 def _check_chunk(file: BinaryIO, chunk: Any, rows: int) -> None:
-    """Raises ValueError or IndexError if the pages of a column chunk cannot be those of our writer."""
+    """Raises ValueError or IndexError if our writer cannot have made the pages of a column chunk."""
     values = unpacked = 0
     for header, length, packed, size in _pages(file, chunk.data_page_offset, chunk.total_compressed_size):
         about = header.get(5) or header.get(8)
@@ -180,7 +181,7 @@ def _check_chunk(file: BinaryIO, chunk: Any, rows: int) -> None:
         if encoding != _PLAIN and not (encoding == _RLE and chunk.physical_type == "BOOLEAN"):
             raise ValueError(f"values of encoding {encoding}, expected plain ones")
         if not 0 <= size <= packed * _SNAPPY_RATIO + 64:
-            raise ValueError(f"a page of {packed:,} bytes that says that it unpacks to {size:,}")
+            raise ValueError(f"a page of {packed:,} bytes that claims to unpack to {size:,}")
         values += about.get(1, -1)
         unpacked += length + size
     if values != chunk.num_values or not rows <= values <= max(rows, 8 * unpacked):
@@ -192,21 +193,21 @@ def _check_chunk(file: BinaryIO, chunk: Any, rows: int) -> None:
 
 
 def _pages(file: BinaryIO, start: int, length: int) -> Iterator[tuple[dict[int, Any], int, int, int]]:
-    """Each page's header, the header's length, and the page's size as it is and unpacked."""
+    """For each page: its header, the header's length, and the page's packed and unpacked size."""
     at, end = start, start + length
     while at < end:
         file.seek(at)
-        buffer = _Compact(file.read(min(_HEADER_BYTES, end - at)))
+        buffer = _ThriftReader(file.read(min(_HEADER_BYTES, end - at)))
         header = buffer.struct()
         size, packed = header.get(2), header.get(3)
         if not (isinstance(size, int) and isinstance(packed, int) and 0 <= packed <= end - at - buffer.at):
-            raise ValueError(f"a page of {packed} bytes reaches over its end")
+            raise ValueError(f"a page of {packed} bytes reaches past the end")
         yield header, buffer.at, packed, size
         at += buffer.at + packed
 
 
-class _Compact:
-    """Thrift's compact protocol, as far as the headers of pages need it. Raises IndexError at its end."""
+class _ThriftReader:
+    """Thrift's compact protocol, as far as the headers of pages need it. Raises IndexError at the end of the data."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -260,9 +261,9 @@ class _Compact:
 
 
 def _difference(found: "pa.Schema", expected: "pa.Schema") -> str | None:
-    """What is wrong with the columns of a file, if anything."""
+    """How the columns of a file differ from the expected ones; None if they do not."""
     if odd := sorted(set(found.names) ^ set(expected.names)) or len(found.names) > len(expected.names):
-        named = ", ".join(repr(name[:100]) for name in odd[:5]) if isinstance(odd, list) else "one is there twice"
+        named = ", ".join(repr(name[:100]) for name in odd[:5]) if isinstance(odd, list) else "a column is there twice"
         return f"its columns are not those of this release: {named}"
     for name in expected.names:
         if not (one := found.field(name)).type.equals(expected.field(name).type):

@@ -1,13 +1,13 @@
-"""The one reader of dataset releases: LeRobot v3.0 folders written by `gym_open.datasets`.
+"""Reader of dataset releases: LeRobot v3.0 folders written by `gym_open.datasets`.
 
     release = open_release(Path("datasets/open/explore/1.0.0"))
-    release.frames                     one row a frame: every scalar feature (pandas)
+    release.frames                     one row per frame: every scalar feature (pandas)
     release.column("observation.state")  a feature of all frames as one array
-    release.images([0, 5, 7])          (3, 84, 84, 3) uint8, bit for bit what the log holds (of PNG releases)
+    release.images([0, 5, 7])          (3, 84, 84, 3) uint8, the same bits as in the log (of PNG releases)
     release.split("train")             frame numbers of a split
 
-T actions make T + 1 frames: the last frame of an episode carries only the observation (`transition.valid` is False).
-A release is anybody's until it is verified: files are read by their own names only, and held to what they may be.
+T actions make T + 1 frames: the last frame of an episode holds only the observation (`transition.valid` is False). A
+release is untrusted until it is verified: the reader opens only files with known names and checks what they hold.
 """
 
 import functools
@@ -37,27 +37,27 @@ from gym_open.formats.releases.layout import (
 from gym_open.formats.releases.schemas import NULLABLE, STATS, episodes_schema, table_schema
 from gym_open.hardware import usable_cores
 
-if TYPE_CHECKING:  # heavy, and needed only when something is read
+if TYPE_CHECKING:  # slow to import, and needed only for reading
     import pandas as pd
     import pyarrow as pa
 
 _CACHED_GROUPS = 512
-"""Row groups whose PNG bytes stay in memory: about 1,000 frames each, so some 450 MB at 860 bytes a frame."""
+"""Row groups whose PNG bytes stay in memory: about 1,000 frames each, or 450 MB in all at 860 bytes per frame."""
 _CACHED_TABLES = 4
-"""Row groups whose numbers stay in memory: some 1.5 MB each."""
+"""Row groups whose numbers stay in memory: about 1.5 MB each."""
 _BULK = ("data/", "videos/")
-"""Folders whose bytes are not read when a release is opened."""
+"""Folders whose bytes are not checked when a release is opened."""
 
 
 class Release:
-    """A release on disk, its names, sizes and records checked. Nothing but `info` is read until it is asked for."""
+    """A release on disk whose names, sizes and records were checked. Only `info` is read before a method needs more."""
 
     def __init__(self, root: Path, digest: str, info: dict[str, Any], *, cached_groups: int = _CACHED_GROUPS) -> None:
         self.root = root
         self.digest = digest
         """Digest of the artefact (SHA-256 of its manifest)."""
         self.info = info
-        """`meta/info.json`: features, splits, frame rate, and under `gym_open` what is our own."""
+        """`meta/info.json`: features, splits, frame rate, and our own fields under `gym_open`."""
         self.name: str = info["gym_open"]["name"]
         """Namespace and name."""
         self.version: str = info["gym_open"]["version"]
@@ -70,16 +70,16 @@ class Release:
 
     @functools.cached_property
     def frames(self) -> "pd.DataFrame":
-        """Every scalar feature, one row a frame; vectors are in `column`, pictures in `images`."""
+        """Every scalar feature, one row per frame. `column` gives vectors and `images` gives images."""
         names = [name for name, feature in self._numbers.items() if feature["shape"] == [1]]
         return self._data(names).to_pandas()
 
     @functools.cached_property
     def episodes(self) -> "pd.DataFrame":
-        """One row an episode: LeRobot's columns and stream, segment, piece, world, puzzle, ended, continued, ….
+        """One row per episode: LeRobot's columns and stream, segment, piece, world, puzzle, ended, continued, ….
 
         Raises:
-            ArtefactError: if a file is damaged, of another schema, or there are not as many as `info` says.
+            ArtefactError: if a file is damaged or of another schema, or the number of rows is not that in `info`.
         """
         import pyarrow as pa
 
@@ -90,15 +90,15 @@ class Release:
         if len(table) != self.info["total_episodes"]:
             raise ArtefactError(
                 f"{self.root}: {len(table):,} rows in meta/episodes, meta/info.json says "
-                f"{self.info['total_episodes']:,}; get the release anew"
+                f"{self.info['total_episodes']:,}; get the release again"
             )
         return table.to_pandas()
 
     def column(self, name: str) -> np.ndarray:
-        """A feature of all frames: (n,) for a scalar, (n, d) for a vector.
+        """One feature of all frames: (n,) for a scalar, (n, d) for a vector.
 
         Raises:
-            KeyError: if there is no such feature, or it is the picture.
+            KeyError: if there is no such feature, or it is the image.
             ArtefactError: if a file is damaged.
         """
         if name not in self._numbers:
@@ -107,12 +107,12 @@ class Release:
         return self._array(name, self._data([name]))
 
     def numbers(self, first: int, stop: int) -> dict[str, np.ndarray]:
-        """All numeric features of the frames from `first` to `stop` (left out), by name.
+        """All numeric features of the frames from `first` to `stop` (exclusive), by name.
 
-        Memory is that of these frames and of the row groups that they are in.
+        It needs memory for these frames and for their row groups.
 
         Raises:
-            IndexError: if there are no such frames.
+            IndexError: if the release does not have these frames.
             ArtefactError: if a file is damaged.
         """
         import pyarrow as pa
@@ -126,7 +126,7 @@ class Release:
         return {name: self._array(name, table) for name in self._numbers}
 
     def table(self, name: Table) -> "pd.DataFrame":
-        """One of our own tables, all batches: streams, worlds, switches, segments, keyframes or content.
+        """One of our own tables with all batches: streams, worlds, switches, segments, keyframes or content.
 
         Raises:
             ArtefactError: if a file is damaged or of another schema.
@@ -134,7 +134,7 @@ class Release:
         return self.arrow_table(name).to_pandas()
 
     def arrow_table(self, name: Table) -> "pa.Table":
-        """As `table`, as Arrow has it."""
+        """Like `table`, as an Arrow table."""
         import pyarrow as pa
 
         if name not in TABLES:
@@ -145,7 +145,7 @@ class Release:
         return self._whole(f"meta/{name}", pa.concat_tables([columns.empty_table(), *found]))
 
     def split(self, name: str) -> np.ndarray:
-        """Frame numbers of the split `name` (`train`, `val`), int64, ascending; empty if nothing is in it.
+        """Frame numbers of the split `name` (`train` or `val`), int64, ascending; may be empty.
 
         Raises:
             KeyError: if releases have no split of that name.
@@ -194,25 +194,25 @@ class Release:
         return self.iterate_episodes(rng.choice(pool, size=n, replace=False))
 
     def pngs(self, indices: Sequence[int] | np.ndarray) -> list[bytes]:
-        """PNG files of the frames `indices`, in their order.
+        """PNG files of the frames `indices`, in that order.
 
         Raises:
             IndexError: if an index is not a frame of this release.
-            ArtefactError: if the release keeps its pictures as video, or a file is damaged.
+            ArtefactError: if the release stores images as video, or a file is damaged.
         """
         if self._is_video:
-            raise ArtefactError(f"{self.root}: keeps its pictures as video, it has no PNG files; take `images`")
+            raise ArtefactError(f"{self.root}: stores its images as video and has no PNG files; use `images`")
         wanted = self._checked(indices)
         starts = self._groups[0]
         groups = np.searchsorted(starts, wanted, side="right") - 1
         return [self._group(int(g))[int(i - starts[g])].as_py() for g, i in zip(groups, wanted, strict=True)]
 
     def images(self, indices: Sequence[int] | np.ndarray) -> np.ndarray:
-        """Pictures of the frames `indices`, in their order: (n, 84, 84, 3) uint8 RGB, decoded in threads.
+        """Images of the frames `indices`, in that order: (n, 84, 84, 3) uint8 RGB, decoded in threads.
 
         Raises:
             IndexError: if an index is not a frame of this release.
-            ArtefactError: if a file or a picture is damaged.
+            ArtefactError: if a file or an image is damaged.
         """
         wanted = self._checked(indices)
         out = np.empty((len(wanted), *self.info["features"][IMAGE]["shape"]), dtype=np.uint8)
@@ -227,7 +227,7 @@ class Release:
                     out[i] = decode_untrusted(files[i])
                 except ValueError as error:
                     raise ArtefactError(
-                        f"{self.root}: picture of frame {wanted[i]}: {error}; get the release anew"
+                        f"{self.root}: image of frame {wanted[i]}: {error}; get the release again"
                     ) from None
 
         step = 64
@@ -241,7 +241,7 @@ class Release:
 
     @functools.cached_property
     def _numbers(self) -> dict[str, Any]:
-        """Features that are numbers."""
+        """Description of every numeric feature."""
         return {name: feature for name, feature in self.info["features"].items() if name != IMAGE}
 
     @functools.cached_property
@@ -259,23 +259,23 @@ class Release:
         return wanted
 
     def _decode_video(self, wanted: np.ndarray, out: np.ndarray) -> None:
-        """Pictures of frames to `out`; of each run of consecutive frames the video is decoded in one go."""
+        """Decode frames into `out`; each run of consecutive frames is decoded in one pass."""
         order = np.argsort(wanted, kind="stable")
         for path, start, stop in self._videos:
             inside = order[np.searchsorted(wanted[order], start) : np.searchsorted(wanted[order], stop)]
             numbers = np.unique(wanted[inside])
             for run in np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1) if numbers.size else ():
-                pictures = videos.decode(path, int(run[0]) - start, int(run[-1]) - start + 1)
-                for number, picture in zip(run, pictures, strict=True):
-                    out[wanted == number] = picture
+                images = videos.decode(path, int(run[0]) - start, int(run[-1]) - start + 1)
+                for number, image in zip(run, images, strict=True):
+                    out[wanted == number] = image
 
     @functools.cached_property
     def _videos(self) -> list[tuple[Path, int, int]]:
-        """Each video, and the first and the last frame (left out) that are in it: those of the data file beside it."""
+        """Each video with its first frame and the frame after its last: those of the data file of the same number."""
         paths = sorted(self.root.glob(VIDEO_PATHS))
         sizes = [parquet.metadata(path).num_rows for path in self._files]
         if len(paths) != len(sizes):
-            raise ArtefactError(f"{self.root}: {len(paths)} videos of {len(sizes)} data files; get the release anew")
+            raise ArtefactError(f"{self.root}: {len(paths)} videos of {len(sizes)} data files; get the release again")
         ends = np.cumsum(sizes).tolist()
         return [(path, end - size, end) for path, size, end in zip(paths, sizes, ends, strict=True)]
 
@@ -285,7 +285,7 @@ class Release:
 
     @functools.cached_property
     def _groups(self) -> tuple[np.ndarray, list[tuple[Path, int]]]:
-        """First frame of every row group, and where the group is."""
+        """First frame of every row group, and the file and number of the group."""
         starts, places, total = [], [], 0
         for path in self._files:
             metadata = parquet.metadata(path)
@@ -295,19 +295,19 @@ class Release:
                 total += metadata.row_group(group).num_rows
         if total != len(self):
             raise ArtefactError(
-                f"{self.root}: {total:,} frames in data, meta/info.json says {len(self):,}; get the release anew"
+                f"{self.root}: {total:,} frames in data, meta/info.json says {len(self):,}; get the release again"
             )
         return np.asarray(starts, dtype=np.int64), places
 
     def _whole(self, name: str, table: "pa.Table") -> "pa.Table":
-        """The table; `ArtefactError` if a value is missing that must be there."""
+        """Return the table. Raises ArtefactError if a value is missing that must be there."""
         for column in set(table.column_names) - NULLABLE:
             values = table.column(column).combine_chunks()
             while values.null_count == 0 and values.type.num_fields:
                 values = values.flatten()
             if values.null_count:
                 raise ArtefactError(
-                    f"{self.root / name}: values of column {column!r} are missing; get the release anew"
+                    f"{self.root / name}: values of column {column!r} are missing; get the release again"
                 )
         return table
 
@@ -326,12 +326,12 @@ class Release:
         return pa.concat_tables(parquet.read(path, self._schema, names) for path in self._files)
 
     def _array(self, name: str, table: "pa.Table") -> np.ndarray:
-        """A column as an array; `ArtefactError` if a value is missing."""
+        """A column as an array. Raises ArtefactError if a value is missing."""
         column = table.column(name).combine_chunks()
         shape = self._numbers[name]["shape"]
         values = column if shape == [1] else column.flatten()
         if column.null_count or values.null_count or len(values) != len(column) * shape[0]:
-            raise ArtefactError(f"{self.root}: values of feature {name!r} are missing; get the release anew")
+            raise ArtefactError(f"{self.root}: values of feature {name!r} are missing; get the release again")
         array = values.to_numpy(zero_copy_only=False)
         return array if shape == [1] else array.reshape(-1, *shape)
 
@@ -341,17 +341,17 @@ def open_release(root: Path, *, check: Literal["records", "bytes"] = "records") 
 
     Args:
         root: folder of the release.
-        check: `records` looks at the names and sizes of all files and at the bytes of all but data and videos, which
-            takes well under a second; `bytes` looks at all bytes. Neither looks at what they mean: `gym-open dataset
+        check: `records` checks the names and sizes of all files and the bytes of all files except data and videos,
+            which takes well under a second. `bytes` checks all bytes. Neither checks the content: `gym-open dataset
             verify` does.
 
     Raises:
-        ArtefactError: if it is missing, damaged (naming the file), not a release, or of another format version.
-        MissingExtraError: if what reads releases is not installed.
+        ArtefactError: if it is missing, damaged (names the file), not a release, or of another format version.
+        MissingExtraError: if the packages that read releases are not installed.
     """
     extras.check("releases")
     digest = artefacts.verify(root, "release", hashed=lambda name: check == "bytes" or not name.startswith(_BULK))
     for name in artefacts.manifest(root):
         if not belongs(name):
-            raise ArtefactError(f"{root / name}: no release of this format has such a file; do not use this one")
+            raise ArtefactError(f"{root / name}: no release of this format has such a file; do not use this release")
     return Release(root, digest, read_info(root))

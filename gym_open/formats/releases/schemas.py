@@ -1,4 +1,4 @@
-"""Columns of the tables of a release: LeRobot's episodes, and our own."""
+"""Columns of the tables of a release: LeRobot's `meta/episodes` and our own tables."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -9,15 +9,15 @@ if TYPE_CHECKING:  # heavy, and needed only when something is read
     import pyarrow as pa
 
 STATS = "stats/"
-"""What columns of `meta/episodes` are called, with `<feature>/<statistic>` after it: statistics of an episode."""
+"""Prefix of the columns of `meta/episodes` with an episode's statistics; `<feature>/<statistic>` follows."""
 STATISTICS = ("min", "max", "mean", "std", "count")
 
 PIXEL_ERROR = "pixel_error/"
-"""What columns of `meta/episodes` are called, with `mean`, `max` or `mse` after it: absolute differences of an
-episode's video from the logged pixels, and their mean square, in levels of 255."""
+"""Prefix of the columns of `meta/episodes` with the error of an episode's video. `mean` or `max` follows for the
+absolute difference from the logged pixels, `mse` for the mean square difference; in levels of 255."""
 
 NULLABLE = frozenset({"split"})
-"""Columns that may lack a value: a world that was never visited is in no split."""
+"""Columns that may lack a value: a world that was never visited belongs to no split."""
 
 Columns = list[tuple[str, str]]
 """Names and Arrow types."""
@@ -44,7 +44,7 @@ EPISODE_ROW: Columns = [
     *[("stream", _I), ("explorer", _S), ("segment", _I), ("piece", _I), ("world", _I), ("puzzle", _S)],
     *[("first_step", _I), ("steps", _I), ("continued", _B), ("ended", _S), ("split", _S)],
 ]
-"""Columns of `meta/episodes` that are ours."""
+"""Our own columns of `meta/episodes`."""
 _EPISODES: Columns = [
     *[("episode_index", _I), ("tasks", "list<string>"), ("length", _I)],
     *[("dataset_from_index", _I), ("dataset_to_index", _I), ("data/chunk_index", _I), ("data/file_index", _I)],
@@ -73,7 +73,7 @@ def episodes_schema(features: Mapping[str, Any]) -> "pa.Schema":
 
 
 def content_features(features: Mapping[str, Any]) -> list[str]:
-    """The features that have a content digest: all but the bookkeeping, by name."""
+    """Names of the features that have a content digest: all except `BOOKKEEPING`, sorted."""
     return sorted(name for name in features if name not in BOOKKEEPING)
 
 

@@ -1,4 +1,4 @@
-"""Pictures of releases that keep them as video: frames of an mp4 by number, as its decoder gives them back."""
+"""Images of releases that store them as video: decoded frames of an mp4 by number."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 CODEC = "h264"
 _PIXELS = "gbrp"
 """RGB, coded without loss."""
-_REMEDY = "it is damaged or not of gym-open; get the release anew"
+_REMEDY = "it is damaged or not from gym-open; get the release again"
 
 
 def decode(path: Path, first: int, stop: int) -> Iterator[np.ndarray]:
-    """Frames `first` to `stop` (left out) of the video at `path`, each (84, 84, 3) uint8 RGB.
+    """Decode the frames from `first` to `stop` (exclusive) of the video at `path`, each (84, 84, 3) uint8 RGB.
 
     Raises:
-        ArtefactError: if it is missing, no H.264 video of our size, cannot be decoded, or has fewer frames.
+        ArtefactError: if the video is missing, not H.264 of our size, cannot be decoded, or has fewer frames.
     """
     due = first
     with _opened(path) as container:
@@ -48,10 +48,10 @@ def decode(path: Path, first: int, stop: int) -> Iterator[np.ndarray]:
 
 
 def n_frames(path: Path) -> int:
-    """Frames that the video at `path` says it has.
+    """Number of frames that the video at `path` claims to have.
 
     Raises:
-        ArtefactError: if it is missing, or no H.264 video of our size.
+        ArtefactError: if the video is missing, or not H.264 of our size.
     """
     with _opened(path) as container:
         return _stream(path, container).frames
@@ -66,7 +66,7 @@ def _opened(path: Path) -> "Iterator[InputContainer]":
     if path.is_symlink() or not path.is_file():
         raise ArtefactError(f"{path}: missing, or a link; {_REMEDY}")
     try:
-        # A file object, not a name: whatever the container refers to, nothing else is opened.
+        # A file object instead of a name: a container that refers to other files cannot open them.
         with path.open("rb") as file, av.open(file, format="mp4") as container:
             assert isinstance(container, InputContainer)
             yield container
@@ -75,7 +75,7 @@ def _opened(path: Path) -> "Iterator[InputContainer]":
 
 
 def _stream(path: Path, container: "InputContainer") -> "VideoStream":
-    """The one stream of a container, its size looked at before anything is decoded."""
+    """The only stream of a container; its size is checked before anything is decoded."""
     if len(container.streams) != 1 or len(container.streams.video) != 1:
         raise ArtefactError(f"{path}: expected one stream, of video, got {len(container.streams)}; {_REMEDY}")
     (stream,) = container.streams.video

@@ -1,4 +1,4 @@
-"""The reader for training: random windows of consecutive frames of a release, from pictures that were decoded once.
+"""Reader for training: random windows of consecutive frames of a release, from images that are decoded once.
 
 pictures = Pictures(open_release(Path("datasets/open/explore/1.0.0")), cache=Path("cache"))
 windows = Windows(pictures, "train", length=4)

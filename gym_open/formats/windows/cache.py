@@ -1,7 +1,8 @@
-"""Pictures of a release by frame number, decoded from PNG or video once and kept in small compressed blocks.
+"""Cache of a release's images: decoded from PNG or video once, then kept in small compressed blocks.
 
-In free play the camera stands still and little moves, so that eight frames in a row compress to some 200 bytes each. A
-frame out of such a block costs some 20 µs, a PNG file ten times that, and two million frames take some 400 MB.
+During exploration the camera stands still and little moves, so eight consecutive frames compress to about 200 bytes
+each. Reading a frame from such a block takes about 20 µs, decoding a PNG file ten times as long. Two million frames
+need about 400 MB.
 """
 
 import fcntl
@@ -23,31 +24,32 @@ from gym_open.errors import ArtefactError
 from gym_open.formats.releases import IMAGE, Release, open_release
 
 LIMIT_BYTES = 2 << 30
-"""Default bound of a cache."""
+"""Default limit of a cache."""
 
 _BLOCK = 8
-"""Frames compressed together: 4 take half as much space again, 16 half as much time again."""
+"""Frames compressed together. With 4, a cache needs 1.5 times the space; with 16, reading takes 1.5 times as long."""
 _LEVEL = 3
 _PIECE = 2048
 """Frames decoded at a time: 43 MB."""
 _TAIL = struct.Struct("<16sqq")
-"""End of a cache: `_MAGIC`, frames that are in it, bound that it was made with."""
+"""End of a cache: `_MAGIC`, number of its frames, limit with which it was made."""
 _MAGIC = b"gym-open-frames1"
 
 
 class Pictures:
-    """Pictures of a release, by frame number.
+    """Images of a release by frame number; the name stays, because cards of published releases use it.
 
-    As many frames as fit the bound, from the first on, are decoded when this is made: in memory, or in a file of the
-    folder `cache` that is named after the release's digest and found again by whoever reads the same release. The
-    others are read from the release whenever they are asked for, which is slow; what comes is the same.
+    The constructor decodes frames from the first one on until the limit is reached. It keeps them in memory, or in a
+    file of the folder `cache`. The file is named after the release's digest, and later readers of the same release use
+    it. All other frames are read from the release on every request, which is slower and gives the same images.
 
-    A cache is written beside and renamed when it is whole. Of two processes that want the same one, the second waits.
+    A cache file is written under a temporary name and renamed when it is complete. If two processes want the same file,
+    the second one waits.
 
     Args:
         release: an open release. Every byte of it is checked before a cache is made.
-        cache: folder for the cache, made if it is missing; None keeps it in memory.
-        limit_bytes: bound of the cache.
+        cache: folder for the cache, created if missing; None keeps the cache in memory.
+        limit_bytes: greatest size of the cache.
 
     Raises:
         ArtefactError: if the release is damaged, or the cache cannot be written.
@@ -61,7 +63,7 @@ class Pictures:
         self._blocks, self._offsets, self.cached, self._nbytes = kept.blocks, kept.offsets, kept.frames, kept.nbytes
 
     cached: int
-    """Frames that are in the cache: 0 … `cached` - 1."""
+    """Number of cached frames: frames 0 … `cached` - 1 are in the cache."""
 
     @property
     def nbytes(self) -> int:
@@ -73,19 +75,19 @@ class Pictures:
         return len(self.release)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """A copy in another process opens the release and the cache by itself."""
+        """Let a copy in another process open the release and the cache itself."""
         if self._cache is None:
-            raise TypeError("pictures kept in memory cannot be sent to another process; give Pictures a cache folder")
+            raise TypeError("images in memory cannot be sent to another process; give Pictures a cache folder")
         return _reopen, (self.release.root, self.release.digest, self._cache, self._limit)
 
     def take(self, frames: np.ndarray) -> np.ndarray:
-        """Pictures of `frames` (integers of any shape): (*frames.shape, 84, 84, 3) uint8 RGB.
+        """Images of `frames` (integers of any shape): (*frames.shape, 84, 84, 3) uint8 RGB.
 
         Threads may call this at the same time.
 
         Raises:
-            IndexError: if a number is not of a frame of this release.
-            ArtefactError: if the cache was changed on disk.
+            IndexError: if a number is not a frame of this release.
+            ArtefactError: if the cache file is damaged.
         """
         wanted = frames.reshape(-1)
         if wanted.size and not 0 <= wanted.min() <= wanted.max() < len(self):
@@ -99,7 +101,7 @@ class Pictures:
         return out.reshape(*frames.shape, *self._shape)
 
     def _fill(self, out: np.ndarray, wanted: np.ndarray, ascending: np.ndarray) -> None:
-        """Decompress each block once: `ascending` are places in `out` and `wanted`, in order of their frames."""
+        """Fill `out`, each block decompressed once; `ascending` are indices of `out` and `wanted`, by frame number."""
         decompressor = zstandard.ZstdDecompressor()
         block, held = np.empty(0, dtype=np.uint8), -1
         for place, frame in zip(ascending.tolist(), wanted[ascending].tolist(), strict=True):
@@ -110,7 +112,7 @@ class Pictures:
                     data = decompressor.decompress(packed)
                 except zstandard.ZstdError as error:
                     raise ArtefactError(
-                        f"{self._cache}: block {number} of the pictures of release {self.release.digest} is damaged "
+                        f"{self._cache}: block {number} of the images of release {self.release.digest} is damaged "
                         f"({error}); remove this cache"
                     ) from None
                 block, held = np.frombuffer(data, dtype=np.uint8).reshape(-1, *self._shape), number
@@ -125,14 +127,14 @@ def _reopen(root: Path, digest: str, cache: Path, limit_bytes: int) -> Pictures:
 
 
 def _changed(root: Path) -> ArtefactError:
-    return ArtefactError(f"{root}: is another release since it was opened; open it again")
+    return ArtefactError(f"{root}: has changed since it was opened; open it again")
 
 
-class _Kept:
-    """A whole cache: blocks one after another, where each begins (int64), and `_TAIL`.
+class _BlockCache:
+    """A complete cache: consecutive blocks, the offset of each (int64), and `_TAIL`.
 
     Raises:
-        ValueError: if `data` is no cache.
+        ValueError: if `data` is not a cache.
     """
 
     def __init__(self, data: memoryview) -> None:
@@ -149,13 +151,13 @@ class _Kept:
         self.blocks, self.nbytes = data[:end], len(data)
 
     def serves(self, frames: int, limit_bytes: int) -> bool:
-        """Whether a cache of a release of so many frames would be made like this under `limit_bytes`."""
+        """Whether `limit_bytes` would give this same cache for a release with this number of frames."""
         whole = self.frames == frames and self.nbytes <= limit_bytes
         return whole or self.limit == limit_bytes
 
     @classmethod
     def found(cls, path: Path, frames: int, limit_bytes: int) -> Self | None:
-        """The cache at `path`, if there is one that serves."""
+        """The cache at `path`, if it exists and `serves`."""
         try:
             with path.open("rb") as file:
                 kept = cls(memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)))
@@ -164,60 +166,60 @@ class _Kept:
         return kept if kept.serves(frames, limit_bytes) else None
 
 
-def _in_memory(release: Release, limit_bytes: int) -> _Kept:
+def _in_memory(release: Release, limit_bytes: int) -> _BlockCache:
     sink = io.BytesIO()
     _write(release, sink, limit_bytes)
-    return _Kept(sink.getbuffer())
+    return _BlockCache(sink.getbuffer())
 
 
-def _on_disk(release: Release, folder: Path, limit_bytes: int) -> _Kept:
-    path, beside = folder / f"{release.digest}.frames", folder / f".{release.digest}.partial"
-    if kept := _Kept.found(path, len(release), limit_bytes):
+def _on_disk(release: Release, folder: Path, limit_bytes: int) -> _BlockCache:
+    path, partial = folder / f"{release.digest}.frames", folder / f".{release.digest}.partial"
+    if kept := _BlockCache.found(path, len(release), limit_bytes):
         return kept
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with _alone(folder / f".{release.digest}.lock"):
-            if kept := _Kept.found(path, len(release), limit_bytes):  # another process has made it meanwhile
+            if kept := _BlockCache.found(path, len(release), limit_bytes):  # another process made it in the meantime
                 return kept
             try:
-                with beside.open("wb") as sink:
+                with partial.open("wb") as sink:
                     _write(release, sink, limit_bytes)
                     sink.flush()
                     os.fsync(sink.fileno())
-                beside.replace(path)
+                partial.replace(path)
             finally:
-                beside.unlink(missing_ok=True)
+                partial.unlink(missing_ok=True)
     except OSError as error:
         raise ArtefactError(
-            f"{error.filename or path}: the cache of pictures cannot be written ({error.strerror or error}); make "
+            f"{error.filename or path}: the cache of images cannot be written ({error.strerror or error}); make "
             "room, or give another cache folder"
         ) from error
-    kept = _Kept.found(path, len(release), limit_bytes)
+    kept = _BlockCache.found(path, len(release), limit_bytes)
     if kept is None:
-        raise ArtefactError(f"{path}: was changed by another program; give a cache folder of your own")
+        raise ArtefactError(f"{path}: was changed by another program; give another cache folder")
     return kept
 
 
 @contextmanager
 def _alone(lock: Path) -> Iterator[None]:
-    """Hold `lock`; its file stays, since another process may be waiting for it."""
+    """Hold `lock`; its file stays, because another process may wait for it."""
     with lock.open("w") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            progress.console.print("another process is decoding these pictures: waiting for it", highlight=False)
+            progress.console.print("another process decodes these images: waiting for it", highlight=False)
             fcntl.flock(file, fcntl.LOCK_EX)
         yield
 
 
 def _write(release: Release, sink: BinaryIO, limit_bytes: int) -> None:
-    """Write a cache of the frames that fit `limit_bytes`. The release decodes with all processors."""
+    """Write a cache of the frames that fit into `limit_bytes`. Decoding uses all cores."""
     if artefacts.verify(release.root, "release") != release.digest:
         raise _changed(release.root)
-    once = Release(release.root, release.digest, release.info, cached_groups=2)  # each is read once, in order
+    once = Release(release.root, release.digest, release.info, cached_groups=2)  # each group is read once, in order
     offsets, frames = array("q", [0]), 0
     compressor = zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True)
-    with progress.bar("decode pictures", len(release)) as bar:
+    with progress.bar("decode images", len(release)) as bar:
         for start in range(0, len(release), _PIECE):
             images = once.images(np.arange(start, min(start + _PIECE, len(release))))
             blocks = [compressor.compress(images[i : i + _BLOCK].data) for i in range(0, len(images), _BLOCK)]

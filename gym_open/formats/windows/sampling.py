@@ -1,4 +1,4 @@
-"""Windows of consecutive frames of a split: by number, or in batches drawn at random."""
+"""Windows of consecutive frames of a split: by number, or in random batches."""
 
 import itertools
 from collections import deque
@@ -14,9 +14,9 @@ from gym_open.formats.windows.cache import Pictures
 
 ACTION = "action.index"
 Batch = dict[str, np.ndarray]
-"""By feature: the picture (…, L, 84, 84, 3) uint8, `action.index` (…, L) int64, others (…, L) or (…, L, d)."""
+"""By feature: the image (…, L, 84, 84, 3) uint8, `action.index` (…, L) int64, others (…, L) or (…, L, d)."""
 
-if TYPE_CHECKING:  # torch takes seconds to import, and asks of a dataset only what `Windows` has
+if TYPE_CHECKING:  # torch takes seconds to import, and `Windows` needs nothing from its class
     from torch.utils.data import Dataset
 
     _MapStyle = Dataset[Batch]
@@ -25,23 +25,24 @@ else:
 
 
 class Windows(_MapStyle):
-    """Every window of `length` frames, `stride` apart, that lies within one episode of a split.
+    """Every window of `length` frames, `stride` apart, within one episode of a split.
 
-    A window that ends with the last frame of its episode has action -1 there: nothing was done after it. Numbers run
-    through the split's episodes in their order. Only bounds of episodes and the features asked for are in memory.
+    The last frame of an episode has action -1, because no action follows it. Windows are numbered through the split's
+    episodes, in order. Only the bounds of episodes and the requested features are in memory.
 
-    It is a map-style dataset as `torch.utils.data.DataLoader` takes it. `batches` does without processes.
+    `Windows` is a map-style dataset for `torch.utils.data.DataLoader`. `batches` works without other processes.
 
     Args:
-        pictures: of the release.
+        pictures: the images of the release.
         split: `train` or `val`.
-        length: frames of a window, L.
-        stride: frames from one to the next.
-        features: numeric features wanted beside picture and action; each is held in memory for the whole release.
+        length: number of frames of a window, L.
+        stride: distance between its frames.
+        features: further numeric features; each is held in memory for the whole release.
 
     Raises:
         ArtefactError: if no episode of the split is long enough.
-        KeyError: if the release has no such numeric feature.
+        KeyError: if the release lacks one of the features.
+        UsageError: if length or stride is less than 1.
     """
 
     def __init__(
@@ -69,10 +70,10 @@ class Windows(_MapStyle):
         return int(self._stops[-1])
 
     def __getitem__(self, number: int) -> Batch:
-        """One window: arrays without the first axis of a batch.
+        """One window: arrays without the batch axis.
 
         Raises:
-            IndexError: if there is no window of this number.
+            IndexError: if there is no window with this number.
         """
         return {name: values[0] for name, values in self.fetch(np.array([number])).items()}
 
@@ -80,7 +81,7 @@ class Windows(_MapStyle):
         """Frame numbers in the release of the windows `numbers` (B,): (B, L) int64.
 
         Raises:
-            IndexError: if there is no window of one of these numbers.
+            IndexError: if there is no window with one of these numbers.
         """
         if numbers.size and not 0 <= numbers.min() <= numbers.max() < len(self):
             raise IndexError(f"window numbers must be in [0, {len(self)}), got {numbers.min()}…{numbers.max()}")
@@ -88,10 +89,10 @@ class Windows(_MapStyle):
         return first[:, None] + self._steps
 
     def fetch(self, numbers: np.ndarray) -> Batch:
-        """The windows `numbers` (B,), in their order. Threads may call this at the same time.
+        """The windows `numbers` (B,), in that order. Threads may call this at the same time.
 
         Raises:
-            IndexError: if there is no window of one of these numbers.
+            IndexError: if there is no window with one of these numbers.
         """
         frames = self.frames(numbers)
         return {
@@ -100,20 +101,20 @@ class Windows(_MapStyle):
         }
 
     def batches(self, rng: np.random.Generator, batch_size: int, *, workers: int = 1, skip: int = 0) -> Iterator[Batch]:
-        """Batches without end: each of `batch_size` different windows, all equally likely.
+        """Endless batches of `batch_size` different windows, drawn uniformly at random.
 
-        Which ones is drawn here, and threads only fetch them, so that neither what comes nor its order depends on
-        `workers`. The generator runs ahead of what has come: to go on after an interruption, pass one of the same seed
-        and `skip`.
+        The caller's thread draws the windows and other threads only fetch them, so batches and their order do not
+        depend on `workers`. The generator is ahead of the batches that were returned. To continue after an
+        interruption, pass a generator with the same seed and `skip`.
 
         Args:
             rng: draws the windows.
             batch_size: windows in a batch.
-            workers: threads that fetch. At most two batches for each are waiting.
-            skip: batches used earlier: drawn and passed over.
+            workers: threads that fetch. At most two batches per thread wait.
+            skip: number of batches that were used earlier; they are drawn and skipped.
 
         Raises:
-            UsageError: if there are fewer windows than `batch_size`, or no worker.
+            UsageError: if there are fewer windows than `batch_size`, or `workers` is less than 1.
         """
         if not 1 <= batch_size <= len(self) or workers < 1:
             raise UsageError(

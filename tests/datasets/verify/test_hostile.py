@@ -217,7 +217,7 @@ def test_a_page_that_says_that_it_unpacks_to_more_is_not_unpacked(tmp_path: Path
     assert data[at + 2] < 128 <= data[at + 1]  # a number of three bytes
     data[at : at + 3] = b"\xfe\xff\x7f"
     path.write_bytes(data)
-    with pytest.raises(ArtefactError, match="says that it unpacks to 1,048,575"):
+    with pytest.raises(ArtefactError, match="claims to unpack to 1,048,575"):
         parquet.read(path, table.schema)
 
 

@@ -140,7 +140,7 @@ def test_name_and_version(release: Release) -> None:
 
 def test_png_files_are_there_unless_pictures_are_video(release: Release) -> None:
     if release.info["gym_open"]["pictures"] == "video":
-        with pytest.raises(ArtefactError, match="keeps its pictures as video"):
+        with pytest.raises(ArtefactError, match="stores its images as video"):
             release.pngs([0])
     else:
         assert [data[:4] for data in release.pngs([3, 0])] == [b"\x89PNG"] * 2
