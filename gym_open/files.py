@@ -42,18 +42,18 @@ def write_atomically(path: Path, data: bytes) -> None:
     Raises:
         ArtefactError: if the file cannot be written, for example on a full disk; the old file stays.
     """
-    beside = path.with_name(f".{path.name}.tmp")
+    temporary = path.with_name(f".{path.name}.tmp")
     try:
-        with beside.open("wb") as file:
+        with temporary.open("wb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-        beside.rename(path)
+        temporary.rename(path)
     except OSError as error:
         raise unwritable(path, error) from error
     finally:
         with suppress(OSError):
-            beside.unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
 
 
 def unwritable(path: Path, error: OSError) -> ArtefactError:

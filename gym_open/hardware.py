@@ -24,7 +24,7 @@ def check_device(device: str) -> None:
         import torch
 
         if not torch.cuda.is_available():
-            raise ConfigError(f"key `device`: {device!r} asks for a GPU, but PyTorch finds none here; give 'cpu'")
+            raise ConfigError(f"key `device`: {device!r} asks for a GPU, but PyTorch finds none; use 'cpu'")
 
 
 def usable_cores(groups: Path = Path("/sys/fs/cgroup")) -> int:

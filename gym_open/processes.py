@@ -19,13 +19,13 @@ def interruptible() -> Iterator[Callable[[], bool]]:
     It yields a function that returns whether one of the three signals arrived. An endless loop must call that function:
     a library may have swallowed the exception, as Rerun 0.41 once did while it received data.
     """
-    came: list[int] = []
+    received: list[int] = []
     if threading.current_thread() is not threading.main_thread():  # only the main thread may set signal handlers
         yield lambda: False
         return
 
     def interrupt(sign: int, _: FrameType | None) -> None:
-        came.append(sign)
+        received.append(sign)
         raise KeyboardInterrupt
 
     signs = [signal.SIGTERM, signal.SIGHUP]
@@ -33,7 +33,7 @@ def interruptible() -> Iterator[Callable[[], bool]]:
         signs.append(signal.SIGINT)
     before = {sign: signal.signal(sign, interrupt) for sign in signs}
     try:
-        yield lambda: bool(came)
+        yield lambda: bool(received)
     finally:
         for sign, handler in before.items():
             signal.signal(sign, handler)

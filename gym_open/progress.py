@@ -110,10 +110,10 @@ class _ProgressFile:
             return
         self.written = now
         rate = (self.done - self.first) / max(now - self.started, 1e-9)
-        beside = self.path.with_name(f"{self.path.name}.tmp")
+        temporary = self.path.with_name(f"{self.path.name}.tmp")
         with suppress(OSError):
-            beside.write_bytes(msgspec.json.encode(Progressed(self.done, self.total, rate)))
-            beside.replace(self.path)
+            temporary.write_bytes(msgspec.json.encode(Progressed(self.done, self.total, rate)))
+            temporary.replace(self.path)
 
 
 class Lines:
@@ -125,18 +125,18 @@ class Lines:
         title: name of the work.
         total: units of work.
         done: units that an earlier process has done. They do not count for the speed.
-        tell: writes a line.
+        write_line: writes a line.
         clock: returns seconds since any fixed time.
     """
 
     def __init__(
-        self, title: str, total: int, *, done: int = 0, tell: Callable[[str], None] = write,
+        self, title: str, total: int, *, done: int = 0, write_line: Callable[[str], None] = write,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:  # fmt: skip
         self._title, self._total, self._first, self._done = title, total, done, done
-        self._tell, self._clock, self._started = tell, clock, clock()
+        self._write_line, self._clock, self._started = write_line, clock, clock()
         self._note = ""
-        tell(f"{title}: {'goes on at ' if done else ''}{done:,} of {total:,}")
+        write_line(f"{title}: {'goes on at ' if done else ''}{done:,} of {total:,}")
 
     def advance(self, amount: int, note: str | None) -> None:
         """Count `amount` units; a `note` stays until the next note."""
@@ -162,22 +162,22 @@ class Lines:
         return (self._done - self._first) / max(self._clock() - self._started, 1e-9)
 
     def _say(self, parts: list[str]) -> None:
-        self._tell(f"{self._title}: {', '.join(parts)}{f'; {self._note}' if self._note else ''}")
+        self._write_line(f"{self._title}: {', '.join(parts)}{f'; {self._note}' if self._note else ''}")
 
 
 class Waiting:
     """Writes in lines how long work without a count has been going on; arguments as in `Lines`."""
 
     def __init__(
-        self, title: str, hint: str = "", *, tell: Callable[[str], None] = write,
+        self, title: str, hint: str = "", *, write_line: Callable[[str], None] = write,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:  # fmt: skip
         self._title, self._why = title, f" ({hint})" if hint else ""
-        self._tell, self._clock, self._started = tell, clock, clock()
+        self._write_line, self._clock, self._started = write_line, clock, clock()
 
     def now(self) -> None:
         """Write a line."""
-        self._tell(f"{self._title}: {duration(self._clock() - self._started)} so far{self._why}")
+        self._write_line(f"{self._title}: {duration(self._clock() - self._started)} so far{self._why}")
 
 
 class _DrawnBar:

@@ -63,7 +63,7 @@ class Clock:
 
 def test_lines_say_what_is_done_how_fast_and_how_long_it_still_takes() -> None:
     said, clock = list[str](), Clock()
-    lines = Lines("exploring", 20_480, tell=said.append, clock=clock)
+    lines = Lines("exploring", 20_480, write_line=said.append, clock=clock)
     lines.now()  # nothing is known yet
     clock.now += 10
     lines.advance(3_310, "2 of 12 worlds")
@@ -85,7 +85,7 @@ def test_lines_say_what_is_done_how_fast_and_how_long_it_still_takes() -> None:
 
 def test_what_was_done_before_is_said_and_no_speed() -> None:
     said, clock = list[str](), Clock()
-    lines = Lines("work", 100, done=40, tell=said.append, clock=clock)
+    lines = Lines("work", 100, done=40, write_line=said.append, clock=clock)
     clock.now += 4
     lines.advance(1, None)
     lines.now()
@@ -99,7 +99,7 @@ def test_what_was_done_before_is_said_and_no_speed() -> None:
 
 def test_work_of_no_units_divides_by_nothing() -> None:
     said, clock = list[str](), Clock()
-    lines = Lines("read", 0, tell=said.append, clock=clock)
+    lines = Lines("read", 0, write_line=said.append, clock=clock)
     lines.now()
     lines.end()
     assert said == ["read: 0 of 0", "read: 0 of 0 (0%)", "read: 0 of 0 in 0.0 s"]
@@ -107,7 +107,7 @@ def test_work_of_no_units_divides_by_nothing() -> None:
 
 def test_what_cannot_be_counted_says_how_long_it_has_been_going_on() -> None:
     said, clock = list[str](), Clock()
-    plain, why = (Waiting("probe", hint, tell=said.append, clock=clock) for hint in ("", "it is large"))
+    plain, why = (Waiting("probe", hint, write_line=said.append, clock=clock) for hint in ("", "it is large"))
     clock.now += 100
     plain.now()
     why.now()

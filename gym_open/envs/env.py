@@ -244,7 +244,7 @@ class OpenEnv(gymnasium.Env[Any, np.int64]):
             ArtefactError: if the snapshot is of another world.
         """
         if snapshot.puzzle.task != self.task:
-            raise PuzzleError(f"snapshot: of task {snapshot.puzzle.task!r}, given to a {self.task!r} environment")
+            raise PuzzleError(f"snapshot: expected task {self.task!r}, got {snapshot.puzzle.task!r}")
         self._load(snapshot.puzzle)
         self.world.restore_state(np.array(snapshot.world))
         self._steps, self._return, self._hits = snapshot.steps, snapshot.episode_return, snapshot.hits
@@ -268,7 +268,7 @@ class OpenEnv(gymnasium.Env[Any, np.int64]):
             raise PuzzleError(f"reset option 'puzzle': expected a Puzzle, got {type(puzzle).__name__}")
         if puzzle is not None and puzzle.task != self.task:
             raise PuzzleError(
-                f"reset option 'puzzle': one of task {puzzle.task!r} given to a {self.task!r} environment"
+                f"reset option 'puzzle': expected a puzzle of task {self.task!r}, got task {puzzle.task!r}"
             )
         return puzzle
 

@@ -31,7 +31,7 @@ def step_budget(task: Task) -> int:
         PuzzleError: if the task is the sandbox, which never ends.
     """
     if task not in _BUDGET:
-        raise PuzzleError(f"{task!r} has no step budget; the tasks that have one are {', '.join(_BUDGET)}")
+        raise PuzzleError(f"{task!r} has no step budget; the tasks with a step budget are {', '.join(_BUDGET)}")
     return _BUDGET[task]
 
 

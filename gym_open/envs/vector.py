@@ -126,7 +126,7 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
             ClosedEnvironmentError: after `close`.
         """
         if self.closed:
-            raise ClosedEnvironmentError("the worlds are closed: make them anew")
+            raise ClosedEnvironmentError("the worlds are closed: make a new vector environment")
         rest = dict(options or {})
         mask = np.asarray(rest.pop("reset_mask", self._everyone))
         puzzles = rest.pop("puzzles", None)
@@ -137,7 +137,7 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         if mask.dtype != bool:
             raise ValueError(f"options['reset_mask']: expected bool, got {mask.dtype}")
         if not (self._begun or mask.all()):
-            raise ResetNeeded("options['reset_mask']: the first reset must be of all worlds")
+            raise ResetNeeded("options['reset_mask']: the first reset must reset all worlds")
 
         def work(first: int, last: int) -> None:
             for i in range(first, last):
@@ -255,9 +255,9 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
 
     def _checked(self, actions: np.ndarray) -> np.ndarray:
         if self.closed:
-            raise ClosedEnvironmentError("the worlds are closed: make them anew")
+            raise ClosedEnvironmentError("the worlds are closed: make a new vector environment")
         if not self._begun:
-            raise ResetNeeded("the worlds are empty: call reset before step")
+            raise ResetNeeded("the worlds have no puzzle: call reset before step")
         if self.autoreset_mode == AutoresetMode.DISABLED and (over := self._ended()).any():
             ended = over.nonzero()[0].tolist()
             raise ResetNeeded(f'worlds {ended} have ended: reset them with options={{"reset_mask": …}} before step')

@@ -165,14 +165,14 @@ class World:
         expected = size + n + len(GOAL_INDEX)
         if state.shape != (expected,):
             found = f"expected {expected} numbers, got shape {state.shape}"
-            raise ArtefactError(f"world state: {found}; it was saved by another version of the world, start anew")
+            raise ArtefactError(f"world state: {found}; another version of the world saved it; start a new run")
         asleep = state[size : size + n]
         if not ((asleep == np.round(asleep)) & (asleep >= AWAKE) & (asleep < n)).all():
-            raise ArtefactError("world state: its sleep entries are not object indices; it was damaged, start anew")
+            raise ArtefactError("world state: its sleep entries are not object indices; it is damaged; start a new run")
         sleepers = np.flatnonzero(asleep >= 0)
         if not np.array_equal(np.sort(asleep[sleepers]), sleepers):  # without a ring, MuJoCo ends the process
             raise ArtefactError(
-                "world state: its sleeping objects do not point to one another in rings; it was damaged, start anew"
+                "world state: its sleeping objects do not point to one another in rings; it is damaged; start a new run"
             )
         mujoco.mj_resetData(self.model, self.data)
         mujoco.mj_setState(self.model, self.data, state[:size], _STATE)
@@ -196,7 +196,7 @@ class World:
             if first + count > len(have):
                 raise PuzzleError(
                     f"puzzle: more objects of kind {kind!r} than this world's {len(have)}; "
-                    "give the world the mesh, or a greater `count` of it, in WorldOptions.meshes"
+                    "add the mesh, or increase its `count`, in WorldOptions.meshes"
                 )
             chosen.append(have[first : first + count])
             used[kind] = first + count

@@ -15,13 +15,13 @@ _MIN_TOKEN = 16
 def check_host(host: str, name: str) -> None:
     """Raise UsageError unless `host` is an IP address or a host name; `name` is the argument's name in the error."""
     if _ip(host) is None and not _NAME.fullmatch(host):
-        raise UsageError(f"{name}: an IP address or a host's name, got {host!r}")
+        raise UsageError(f"{name}: expected an IP address or a host name, got {host!r}")
 
 
 def check_port(port: int, name: str, *, least: int = 1) -> None:
     """Raise UsageError unless `port` is a TCP port; `name` is the argument's name in the error."""
     if not least <= port <= 65535:
-        raise UsageError(f"{name}: from {least} to 65535, got {port}")
+        raise UsageError(f"{name}: expected {least} to 65535, got {port}")
 
 
 def is_loopback(host: str) -> bool:

@@ -92,7 +92,7 @@ class RemoteSession:
         if isinstance(answer, p.Refused):
             raise p.raised(answer)
         if not isinstance(answer, expected):
-            raise GymOpenError(f"{self._where}: {expected.__name__} expected, got {type(answer).__name__}")
+            raise GymOpenError(f"{self._where}: expected {expected.__name__}, got {type(answer).__name__}")
         return answer
 
     def _explained(self, error: grpc.RpcError) -> GymOpenError:
@@ -103,12 +103,12 @@ class RemoteSession:
             case grpc.StatusCode.UNAVAILABLE:
                 return GymOpenError(
                     f"no answer from {where}: it was not started, or it has stopped ({details}). "
-                    "Its worlds are lost: start `gym-open serve` there again, then make the environment anew"
+                    "Its worlds are lost: start `gym-open serve` there again, then make a new environment"
                 )
             case grpc.StatusCode.DEADLINE_EXCEEDED:
                 return GymOpenError(
                     f"{where} did not answer within {self._deadline_s:g} s: it hangs, is overloaded, or a firewall "
-                    "drops the messages; check the server, then make the environment anew"
+                    "drops the messages; check the server, then make a new environment"
                 )
             case grpc.StatusCode.RESOURCE_EXHAUSTED if "larger than max" in (details or ""):
                 return GymOpenError(

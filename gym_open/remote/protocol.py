@@ -195,7 +195,7 @@ def plain(value: Any) -> Any:
 def _encode_number(value: Any) -> Any:
     if isinstance(value, np.integer | np.floating | np.bool_):
         return value.item()
-    raise TypeError(f"numbers, text, lists and dictionaries are possible, got {type(value).__name__}")
+    raise TypeError(f"expected numbers, text, lists or dictionaries, got {type(value).__name__}")
 
 
 def _encode_image(value: Any) -> bytes:

@@ -68,8 +68,8 @@ class Sessions:
         with self._lock:
             if len(self._by_name) >= self._clients:
                 raise UsageError(
-                    f"all {self._clients} places are taken: close another environment, wait until an unused one is "
-                    f"freed ({self._idle_s:g} s without a call), or start the server with more `--clients`"
+                    f"all {self._clients} places are taken: close another environment, wait until an unused one "
+                    f"is freed ({self._idle_s:g} s without a call), or start the server with more `--clients`"
                 )
             name = secrets.token_hex(16)
             self._by_name[name] = _ClientSession(debug=asked.debug, now=time.monotonic())
@@ -86,7 +86,7 @@ class Sessions:
         if found is None:
             raise UsageError(
                 f"the server does not know this session: it was freed after {self._idle_s:g} s without a call, or the "
-                "server was started anew; make the environment anew"
+                "server was restarted; make a new environment"
             )
         with found.lock:
             try:
@@ -127,13 +127,13 @@ class Server:
         check_host(host, "host")
         check_port(port, "port", least=0)
         if clients < 1:
-            raise UsageError(f"clients: at least 1, got {clients}")
+            raise UsageError(f"clients: expected 1 or more, got {clients}")
         if not 0 < idle_s < float("inf"):
-            raise UsageError(f"idle_s: more than 0 seconds, got {idle_s:g}")
+            raise UsageError(f"idle_s: expected more than 0 seconds, got {idle_s:g}")
         if token is None and not is_loopback(host):
             raise UsageError(
                 f"host: {host} can be reached from other machines, so a token is needed: give --token-file FILE or set "
-                f"{p.TOKEN_VARIABLE}; or stay on 127.0.0.1 and let clients come through `ssh -L`"
+                f"{p.TOKEN_VARIABLE}; or listen on 127.0.0.1 and let clients use `ssh -L`"
             )
         self.host = host
         self.sessions = Sessions(clients, idle_s)
@@ -152,7 +152,7 @@ class Server:
             self.port: int = self._server.add_insecure_port(target(host, port))
         except RuntimeError:
             raise UsageError(
-                f"cannot listen on {target(host, port)}: the port is taken, or the host is not this one"
+                f"cannot listen on {target(host, port)}: the port is taken, or the host is not this machine"
             ) from None
 
     def __enter__(self) -> Self:

@@ -59,9 +59,9 @@ class Session:
     def configure(self, first: Any, action_space: Any, skip_frame: Any) -> None:
         """Set whether a step is a whole move or one substep."""
         if first is not False:
-            raise UsageError(f"configure_env: first argument: only False, as the paper passes it, got {first!r}")
+            raise UsageError(f"configure_env: first argument: expected False, as in the paper, got {first!r}")
         if action_space != "full":
-            raise UsageError(f"configure_env: action_space: only 'full' (nine actions), got {action_space!r}")
+            raise UsageError(f"configure_env: action_space: expected 'full' (nine actions), got {action_space!r}")
         skip_frame = _flag("configure_env: skip_frame", skip_frame)
         if self._substeps_left and skip_frame:
             raise UsageError(
@@ -187,9 +187,7 @@ class Session:
 def _draw(mode: Any, task: Any, puzzle_config: Any) -> Draw:
     if mode == 0:
         if task not in (None, 0, 1):
-            raise UsageError(
-                f"add_change_puzzle: task: a sandbox (mode 0) has none: leave it out or give 0, got {task!r}"
-            )
+            raise UsageError(f"add_change_puzzle: task: expected none or 0 for a sandbox (mode 0), got {task!r}")
         if not isinstance(puzzle_config, dict):
             raise UsageError(
                 "add_change_puzzle: puzzle_config: mode 0 (sandbox) needs a dictionary of counts, for example "
@@ -199,16 +197,16 @@ def _draw(mode: Any, task: Any, puzzle_config: Any) -> Draw:
     if mode == 1:
         if puzzle_config is not None:
             raise UsageError(
-                "add_change_puzzle: puzzle_config: only for mode 0 (sandbox); the tasks have their recipes"
+                "add_change_puzzle: puzzle_config: only for mode 0 (sandbox); leave it out, tasks have recipes"
             )
         chosen = TASKS[_whole("add_change_puzzle: task", task, 1, len(TASKS)) - 1]
         return lambda rng: sample_puzzle(chosen, rng)
-    raise UsageError(f"add_change_puzzle: mode: 0 (sandbox) or 1 (one of the tasks 1-4), got {mode!r}")
+    raise UsageError(f"add_change_puzzle: mode: expected 0 (sandbox) or 1 (one of the tasks 1-4), got {mode!r}")
 
 
 def _flag(name: str, value: Any) -> bool:
     if not isinstance(value, bool):
-        raise UsageError(f"{name}: True or False, got {value!r}")
+        raise UsageError(f"{name}: expected True or False, got {value!r}")
     return value
 
 
@@ -218,5 +216,5 @@ def _whole(name: str, value: Any, least: int, most: int) -> int:
     except TypeError:
         number = None
     if number is None or not least <= number <= most:
-        raise UsageError(f"{name}: a whole number from {least} to {most}, got {value!r}")
+        raise UsageError(f"{name}: expected a whole number from {least} to {most}, got {value!r}")
     return number

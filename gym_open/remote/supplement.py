@@ -53,15 +53,15 @@ class OpenPuzzleEnv(gymnasium.Env[Observation, np.int64]):
     ) -> None:
         for name, host in (("env_ip", env_ip), ("self_ip", self_ip)):
             if not (host is None or isinstance(host, str)):
-                raise UsageError(f"{name}: None or text, got {host!r}")
+                raise UsageError(f"{name}: expected None or text, got {host!r}")
             if host is not None:
                 check_host(host, name)
         if port is not None:
             if isinstance(port, bool) or not isinstance(port, int):
-                raise UsageError(f"port: None or a whole number, got {port!r}")
+                raise UsageError(f"port: expected None or a whole number, got {port!r}")
             check_port(port, "port")
         if not isinstance(debug, bool):
-            raise UsageError(f"debug: True or False, got {debug!r}")
+            raise UsageError(f"debug: expected True or False, got {debug!r}")
         self.action_space = spaces.Discrete(c.N_ACTIONS)
         image = spaces.Box(0, 255, (c.IMAGE_SIZE, c.IMAGE_SIZE, 3), np.uint8)
         self.observation_space: spaces.Space[Any] = spaces.Dict({"image": image})
@@ -108,7 +108,7 @@ class OpenPuzzleEnv(gymnasium.Env[Observation, np.int64]):
             UsageError: if there is no puzzle yet, or `options` is not empty.
         """
         if options:
-            raise UsageError(f"reset: options: there are none here, got {sorted(options)}; use add_change_puzzle")
+            raise UsageError(f"reset: options: expected none, got {sorted(options)}; use add_change_puzzle")
         return self._session.reset(*_plain("reset", seed))
 
     def step(self, action: np.int64 | int) -> StepResult:  # pyright: ignore[reportIncompatibleMethodOverride]

@@ -242,7 +242,7 @@ def test_a_snapshot_keeps_the_steps_left_and_the_return() -> None:
     [
         ({"puzle": None}, "unknown"),
         ({"puzzle": "tool-use/017"}, "expected a Puzzle, got str"),
-        ({"puzzle": fixed_puzzles("avoidance")[0]}, "'avoidance' given to a 'goal-seeking' environment"),
+        ({"puzzle": fixed_puzzles("avoidance")[0]}, "expected a puzzle of task 'goal-seeking', got task 'avoidance'"),
     ],
 )
 def test_wrong_options_are_refused(options: dict[str, Any], message: str) -> None:

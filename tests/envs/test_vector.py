@@ -147,7 +147,7 @@ def test_a_step_limit_is_taken_as_gymnasium_gives_it() -> None:
 def test_after_close_nothing_begins() -> None:
     vector = OpenVectorEnv(2, "goal-seeking")
     vector.close()
-    with pytest.raises(ClosedEnvironmentError, match="make them anew"):
+    with pytest.raises(ClosedEnvironmentError, match="make a new vector environment"):
         vector.reset()
 
 
@@ -181,7 +181,7 @@ def test_each_world_can_be_given_its_puzzle() -> None:
     observations, infos = vector.reset(options={"puzzles": puzzles})
     assert infos["puzzle_digest"].tolist() == [puzzle.digest for puzzle in puzzles]
     assert_same(vector.render(), tuple(observations))
-    with pytest.raises(PuzzleError, match="'avoidance' given to a 'tool-use'"):
+    with pytest.raises(PuzzleError, match="expected a puzzle of task 'tool-use', got task 'avoidance'"):
         vector.reset(options={"puzzles": fixed_puzzles("avoidance")[:3]})
     with pytest.raises(ValueError, match=r"puzzles'\]: expected 3, one for each world, got 2"):
         vector.reset(options={"puzzles": puzzles[:2]})
@@ -226,12 +226,12 @@ def test_without_autoreset_an_ended_world_must_be_reset() -> None:
 
 def test_before_the_first_reset_and_after_closing_there_is_no_step() -> None:
     vector = OpenVectorEnv(2, "goal-seeking")
-    with pytest.raises(ResetNeeded, match="the first reset must be of all worlds"):
+    with pytest.raises(ResetNeeded, match="the first reset must reset all worlds"):
         vector.reset(options={"reset_mask": np.array([True, False])})
     vector.reset(seed=0)
     vector.close()
     vector.close()
-    with pytest.raises(ClosedEnvironmentError, match="make them anew"):
+    with pytest.raises(ClosedEnvironmentError, match="make a new vector environment"):
         vector.step(np.array([0, 0]))
 
 

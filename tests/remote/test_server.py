@@ -203,9 +203,9 @@ def test_a_port_that_is_taken_is_named(server: Server) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"clients": 0}, "clients: at least 1, got 0"),
-        ({"idle_s": 0.0}, "idle_s: more than 0 seconds, got 0"),
-        ({"idle_s": float("nan")}, "idle_s: more than 0 seconds, got nan"),
+        ({"clients": 0}, "clients: expected 1 or more, got 0"),
+        ({"idle_s": 0.0}, "idle_s: expected more than 0 seconds, got 0"),
+        ({"idle_s": float("nan")}, "idle_s: expected more than 0 seconds, got nan"),
     ],
 )
 def test_wrong_arguments_of_the_server_are_named(arguments: dict[str, Any], message: str) -> None:
@@ -240,7 +240,7 @@ def test_a_vanished_clients_place_is_freed(client: Client) -> None:
         pass_time(50_001)
         env = client(server.port)  # takes the unused place
         env.add_change_puzzle(1, 1)
-        with pytest.raises(UsageError, match=r"freed after 50000 s without a call.* make the environment anew"):
+        with pytest.raises(UsageError, match=r"freed after 50000 s without a call.* make a new environment"):
             gone.step(1)
         env.step(1)
         pass_time(50_001)
@@ -258,7 +258,7 @@ def test_a_killed_server_ends_in_an_error_that_says_where_and_what_to_do(client:
         for _ in range(2):
             with pytest.raises(
                 GymOpenError,
-                match=rf"no answer from the server at 127.0.0.1:{server.port}: .*make the environment anew",
+                match=rf"no answer from the server at 127.0.0.1:{server.port}: .*make a new environment",
             ):
                 env.step(1)
         env.close()

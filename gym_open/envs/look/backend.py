@@ -35,8 +35,8 @@ def check_backend() -> None:
         raise OpenGLError(f"the environment variable MUJOCO_GL is {asked!r}, which MuJoCo does not know: unset it")
     if asked in _LIBRARIES and not _loads(asked):
         raise OpenGLError(
-            f"the environment variable MUJOCO_GL asks for {asked!r}, whose library is not here "
-            f"({', '.join(_LIBRARIES[asked])}), and MuJoCo does not start so: unset MUJOCO_GL; to draw, {INSTALL}"
+            f"the environment variable MUJOCO_GL asks for {asked!r}, but its library is not installed "
+            f"({', '.join(_LIBRARIES[asked])}), and MuJoCo needs it to start: unset MUJOCO_GL; to draw, {INSTALL}"
         )
 
 

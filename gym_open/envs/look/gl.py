@@ -44,7 +44,7 @@ def _load_triton() -> None:
 def _linux_context() -> type:
     backend = find_backend()
     if backend is None:
-        raise OpenGLError(f"no OpenGL library was found, which this image needs; {INSTALL}")
+        raise OpenGLError(f"no OpenGL library was found, but this image needs it; {INSTALL}")
     if backend == "egl":
         from mujoco.egl import GLContext
     elif backend == "osmesa":

@@ -103,7 +103,7 @@ def _read(kind: str, content: bytes) -> tuple[trimesh.Trimesh, Colour]:
     if kind == "glb":  # in glTF, y points up
         mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0)))
     if not (mesh.is_watertight and mesh.is_winding_consistent):
-        raise MeshError("not watertight, or its faces look both ways: it has no inside; close it in a mesh editor")
+        raise MeshError("not watertight, or its faces have inconsistent directions; close it in a mesh editor")
     if mesh.volume < 0:
         mesh.invert()
     return mesh, _main_colour(parts[0][0])

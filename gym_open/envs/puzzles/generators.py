@@ -136,13 +136,13 @@ class _Layout:
         else:
             self.place(kind, self.pick(self.free()))
 
-    def beside_cubes(self) -> set[Cell]:
+    def next_to_cubes(self) -> set[Cell]:
         """Cells next to a cube on either axis, where no other cube may stand."""
         return {(i + k, j + l) for i, j in self.cubes for k, l in ((-1, 0), (1, 0), (0, -1), (0, 1))}
 
     def place_cube(self, kind: str) -> None:
-        beside = self.beside_cubes()
-        self.place(kind, self.pick([cell for cell in self.free() if cell not in beside]))
+        taken = self.next_to_cubes()
+        self.place(kind, self.pick([cell for cell in self.free() if cell not in taken]))
 
     def place_cubes(self, least: int, most: int) -> None:
         for _ in range(self.rng.integers(least, most + 1)):
@@ -202,7 +202,7 @@ def _preferences(layout: _Layout) -> None:
     layout.place("yellow", yellow)
     layout.place("green", green)
     for cell in layout.free(cells):
-        if layout.rng.random() < 0.5 and cell not in layout.beside_cubes():
+        if layout.rng.random() < 0.5 and cell not in layout.next_to_cubes():
             layout.place("heavy", cell)
     layout.place_cubes(5, 8)
 
@@ -265,9 +265,7 @@ def draw_layout(task: Task, rng: np.random.Generator, sandbox: SandboxConfig = _
         except _NoRoomError:
             continue
         return layout.puzzle(task)
-    raise PuzzleError(
-        f"no {task} layout found in {ATTEMPTS} tries for {sandbox}: ask for fewer objects or a larger radius"
-    )
+    raise PuzzleError(f"no {task} layout found in {ATTEMPTS} tries for {sandbox}; use fewer objects or a larger radius")
 
 
 def sample_puzzle(task: Task, rng: np.random.Generator, sandbox: SandboxConfig = _DEFAULT_SANDBOX) -> Puzzle:
@@ -285,7 +283,7 @@ def sample_puzzle(task: Task, rng: np.random.Generator, sandbox: SandboxConfig =
         puzzle = draw_layout(task, rng, sandbox)
         if puzzle.digest not in reserved_digests():
             return puzzle
-    raise PuzzleError(f"{ATTEMPTS} {task} layouts drawn for {sandbox} are all test puzzles: ask for more variety")
+    raise PuzzleError(f"{ATTEMPTS} {task} layouts drawn for {sandbox} are all fixed puzzles; allow more variety")
 
 
 _RECIPES = {
@@ -301,7 +299,7 @@ def _check_sandbox(config: SandboxConfig) -> None:
         if least > most:
             raise PuzzleError(f"sandbox.{kind}: expected smallest ≤ largest, got {(least, most)}; swap them")
         if kind in CAPACITY and most > CAPACITY[kind]:
-            raise PuzzleError(f"sandbox.{kind}: at most {CAPACITY[kind]} fit the model, got {most}; ask for fewer")
+            raise PuzzleError(f"sandbox.{kind}: at most {CAPACITY[kind]} fit the model, got {most}; use fewer")
     lights = config.light[1] + STACK_HEIGHT * config.stack[1]
     if lights > CAPACITY["light"]:
         asked = f"{config.stack[1]} stacks of {STACK_HEIGHT} and {config.light[1]} more light cubes"
@@ -312,7 +310,8 @@ def _check_sandbox(config: SandboxConfig) -> None:
 def _check_cells(config: SandboxConfig) -> None:
     agent, yellow = config.agent_cell, config.yellow_cells
     if len(yellow) > config.yellow[0]:
-        raise PuzzleError(f"sandbox.yellow_cells: {len(yellow)} cells for at least {config.yellow[0]} yellow spheres")
+        few = f"{len(yellow)} cells, but the least number of yellow spheres is {config.yellow[0]}"
+        raise PuzzleError(f"sandbox.yellow_cells: {few}; give fewer cells")
     cells = [*yellow, agent] if agent else [*yellow]
     for cell in cells:
         if cells.count(cell) > 1:
@@ -322,4 +321,4 @@ def _check_cells(config: SandboxConfig) -> None:
     if agent and config.pen_probability and not any(pens_around(agent, side) for side in SIDES):
         rows, columns = (sorted({cell[k] for cell in CENTRES}) for k in (0, 1))
         inside = f"rows {rows[0] - 1} to {rows[-1] + 1}, columns {columns[0] - 1} to {columns[-1] + 1}"
-        raise PuzzleError(f"sandbox.agent_cell: no pen has cell {agent} inside, only cells of {inside}")
+        raise PuzzleError(f"sandbox.agent_cell: no pen has cell {agent} inside; choose a cell of {inside}")

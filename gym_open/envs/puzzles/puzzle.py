@@ -176,7 +176,7 @@ def _check_cells(objects: tuple[Placement, ...]) -> None:
         name = f"{item.kind!r} at {(item.row, item.column)}"
         for cell in sorted(footprint(item)):
             if not (0 <= cell[0] < ROWS and 0 <= cell[1] < COLUMNS) or cell in CORNERS:
-                raise PuzzleError(f"puzzle: {name} sticks out of the table, at cell {cell}")
+                raise PuzzleError(f"puzzle: {name} is partly off the table, at cell {cell}; move it")
             if cell in holder:
                 raise PuzzleError(f"puzzle: two objects on cell {cell}, {holder[cell]} and {name}; move one")
             holder[cell] = name
@@ -214,9 +214,9 @@ def _check_pieces(puzzle: Puzzle) -> None:
     cells = {cell for item in puzzle.objects for cell in footprint(item)}
     for name, piece, reach in (("pen", puzzle.pen, 2), ("patch", puzzle.patch, 1)):
         if piece and not (reach <= piece.row < ROWS - reach and reach <= piece.column < COLUMNS - reach):
-            raise PuzzleError(f"puzzle: {name} around cell {(piece.row, piece.column)} sticks out of the table")
+            raise PuzzleError(f"puzzle: {name} at cell {(piece.row, piece.column)} is partly off the table; move it")
     if puzzle.pen and (blocked := (pen_wall_cells(puzzle.pen) | ramp_cells(puzzle.pen)) & cells):
-        raise PuzzleError(f"puzzle: objects on cells {sorted(blocked)}, where the pen's wall or ramp stands")
+        raise PuzzleError(f"puzzle: objects on cells {sorted(blocked)}, where the pen's wall or ramp is; move them")
 
 
 @functools.lru_cache(maxsize=4096)

@@ -94,7 +94,7 @@ def _check_goals(config: PuzzleConfig, yellow: int) -> None:
     drawn, room = yellow - len(config.touch_sphere_i_j) + config.high_value_target, 4 * config.radius**2
     if drawn > room:
         fit = f"at most {room} goal spheres fit around the agent, got {drawn}"
-        raise PuzzleError(f"puzzle_config: radius is {config.radius}, so {fit}; ask for fewer or a larger radius")
+        raise PuzzleError(f"puzzle_config: radius is {config.radius}, so {fit}; use fewer or a larger radius")
 
 
 def _split(config: PuzzleConfig, rng: np.random.Generator) -> tuple[int, int]:
@@ -103,7 +103,7 @@ def _split(config: PuzzleConfig, rng: np.random.Generator) -> tuple[int, int]:
     if config.cube > CAPACITY["heavy"] + most_light:
         most = CAPACITY["heavy"] + most_light
         raise PuzzleError(
-            f"puzzle_config: cube is {config.cube}, but at most {most} are left beside {config.stack} stacks"
+            f"puzzle_config: cube is {config.cube}, but with {config.stack} stacks at most {most} are left; use fewer"
         )
     heavy = int(rng.binomial(config.cube, 0.5))
     heavy = min(max(heavy, config.cube - most_light), CAPACITY["heavy"])

@@ -49,7 +49,7 @@ def witnesses_of(task: Task, split: Split) -> tuple[Witness, ...]:
         raise PuzzleError(f"puzzles/data/{name}: {error}; reinstall gym-open") from None
     expected = [(puzzle_id(task, split, i), puzzle.digest) for i, puzzle in enumerate(puzzles)]
     if [(witness.puzzle, witness.digest) for witness in witnesses] != expected:
-        raise PuzzleError(f"puzzles/data/{name}: ids or digests are not those of the puzzles; reinstall gym-open")
+        raise PuzzleError(f"puzzles/data/{name}: ids or digests differ from those of the puzzles; reinstall gym-open")
     return tuple(witnesses)
 
 
