@@ -44,7 +44,7 @@ class OracleConfig(Config, frozen=True, kw_only=True):
 class ReportConfig(Config, frozen=True, kw_only=True):
     """What a report shows, and how its intervals are drawn."""
 
-    title: Annotated[str, Meta(min_length=1, max_length=120)] = "What was play worth?"
+    title: Annotated[str, Meta(min_length=1, max_length=120)] = "What was exploration worth?"
     """Heading of the page."""
     split: Split = "test"
     """Set of puzzles; scores on the other set are left out, and the report says so."""

@@ -1,4 +1,4 @@
-"""`gym-open report`: several scores together, as one page with tables, figures, proof and commands."""
+"""`gym-open report`: one page about many scores, with tables, figures, proofs and commands."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,28 +18,28 @@ __all__ = ["ReportConfig", "write_report"]
 
 
 class _ReportInputs(ReportConfig, frozen=True, kw_only=True):
-    """What decides a report besides its scores."""
+    """Everything except scores that a report depends on."""
 
     configurations: tuple[str, ...]
-    """SHA-256 of those that were found: the page shows them."""
+    """SHA-256 of the configurations that were found, which the page shows."""
 
 
 def write_report(config: ReportConfig, sources: Sequence[Path], out: Path) -> artefacts.Outcome:
-    """Put all scores below some folders together: an artefact of kind `report`.
+    """Write a report about all scores below some folders: an artefact of kind `report`.
 
-    Payload: `report.html` (one file, no script, nothing fetched), `report.md`, `figures/*.svg`, and `table.json`, which
-    holds every number of the page. Equal scores and configurations give equal bytes, wherever they lie.
+    Payload: `report.html` (one file, no script, no network), `report.md`, `figures/*.svg`, and `table.json` with every
+    number of the page. Equal scores and configurations give equal bytes in any folder.
 
     Args:
         config: title, split, reference, intervals.
-        sources: folders with scores at any depth; probes below them are shown. Configurations are taken from the
-            policies, encoders, releases and logs below them, and in the workspace that they lie in.
-        out: folder of the report.
+        sources: folders with scores and probes at any depth. Configurations are read from the policies, encoders,
+            releases and logs below them, and in the workspace that the sources belong to.
+        out: the report's folder.
 
     Raises:
         UsageError: if a source is no folder, or there are no scores of the split.
-        ArtefactError: if an artefact is damaged, contradicts itself, or is there twice, or runs of one agent were made
-            in different ways.
+        ArtefactError: if an artefact is damaged or contradicts itself or another, or runs of one agent were made in
+            different ways.
     """
     config = check(config, source="options")
     found = gather(sources, config.split)
@@ -84,7 +84,7 @@ def _write(folder: Path, config: ReportConfig, found: ReportSources) -> Mapping[
 
 
 def _makers(runs: Sequence[ScoredRun]) -> list[dict[str, Any]]:
-    """What made the scores: distinct code, packages and hardware, with the number of scores of each."""
+    """List the code, packages and hardware that made the scores, with the number of scores for each."""
     counted: dict[bytes, dict[str, Any]] = {}
     for run in runs:
         made = {

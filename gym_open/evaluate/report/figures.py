@@ -1,6 +1,6 @@
-"""Figures of a report, as the paper's: SVG that depends on the numbers alone.
+"""Figures of a report, like the paper's: SVG files that depend only on the numbers.
 
-Colours are those that colour-blind readers tell apart (Okabe and Ito); dash and marker say the same without colour.
+Colour-blind readers can distinguish the colours (Okabe and Ito); dashes and markers work without colour.
 """
 
 import io
@@ -18,11 +18,11 @@ _STYLES = (
     (BLUE, "-", "o"), (VERMILION, "--", "s"), (GREEN, "-.", "^"), (PURPLE, ":", "D"), (ORANGE, (0, (6, 1.5)), "v"),
     (SKY, (0, (3, 1, 1, 1, 1, 1)), "P"), (BLACK, (0, (1, 1)), "X"),
 )  # fmt: skip
-"""Colour, dash and marker of a trained agent; after the last they come again, one place shifted."""
+"""Colour, dash and marker of a trained agent; after the last, colours repeat with the next dash and marker."""
 _FIXED = {"random": (GREY, (0, (1, 2))), "oracle": (GREY, "-"), "human": (GREY, (0, (8, 3)))}
-"""Of what no training made."""
+"""Colour and dash of untrained agents."""
 _INCHES = (4.4, 2.7)
-"""Width and height of the axes with their labels: text stays legible where a phone shows the figure at its width."""
+"""Width and height of the axes with their labels; on a phone, the text is still legible."""
 _LINE_INCHES = 0.19
 """Height of a line of the legend."""
 
@@ -34,11 +34,11 @@ class ReportFigure(NamedTuple):
     svg: bytes
     title: str
     text: str
-    """What it shows, for those who do not see it."""
+    """What the figure shows, for readers who cannot see it."""
 
 
 def draw(results: ReportNumbers) -> list[ReportFigure]:
-    """Mean return against actions for every task, and A-Success against steps where there are checkpoints."""
+    """Draw mean return against actions for every task, and A-Success against steps if there are checkpoints."""
     styles = _styles(results.agents)
     made = []
     for task in results.tasks:
@@ -47,7 +47,7 @@ def draw(results: ReportNumbers) -> list[ReportFigure]:
             ReportFigure(
                 f"return-{task}.svg",
                 _svg(f"return-{task}", len(cells), lambda axes, c=cells: _returns(axes, c, styles)),
-                f"{task}: mean return within so many actions",
+                f"{task}: mean return within a number of actions",
                 _ends(cells, "mean return within all actions", [cell.returns for cell in cells]),
             )
         )
@@ -59,7 +59,7 @@ def draw(results: ReportNumbers) -> list[ReportFigure]:
                 ReportFigure(
                     f"learning-{task}.svg",
                     _svg(f"learning-{task}", len(shown), lambda axes, c=shown: _learning(axes, c, styles)),
-                    f"{task}: A-Success after so many steps of fine-tuning",
+                    f"{task}: A-Success against steps of fine-tuning",
                     _ends(learned, "A-Success after the last step", [cell.learning for cell in learned]),
                 )
             )

@@ -1,4 +1,4 @@
-"""What a reader must know before believing a report, told from the data: short sentences, only those that apply."""
+"""Findings of a report and reasons to doubt them, derived from the data: only sentences that apply."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -12,15 +12,17 @@ from gym_open.results.runs import ScoredRun
 from gym_open.results.statistics import least_p_value
 
 _FEW = 5
-"""Runs below which comparisons of agents are hardly ever firm."""
+"""With fewer runs, comparisons of agents are rarely reliable."""
 _FEWEST = 3
-"""Runs of either side below which nothing is said to be told apart: of two equal agents with one run each, the interval
-of the difference missed 0 in 19 to 57% of simulated cases (puzzles spread .2, runs .02 to .06), with three in 3 to 11%.
+"""With fewer runs of either agent, no difference is called reliable.
+
+In simulations of two equal agents (deviation .2 of puzzles, .02 to .06 of runs), the interval of the difference
+excluded 0 in 19 to 57% of cases with one run each, and in 3 to 11% with three.
 """
 
 
 def findings(results: ReportNumbers) -> Iterator[str]:
-    """Two sentences a task: who is best, and who differs from the reference beyond the interval of the difference."""
+    """Yield a line per task: the best agent, and the agents that differ from the reference."""
     for task in results.tasks:
         cells = [cell for cell in results.cells if cell.task == task]
         compared = [cell for cell in cells if standing(cell.agent) == 0]
@@ -47,12 +49,12 @@ def _gains(trained: Sequence[ReportCell], reference: str | None) -> str:
             enough = min(len(cell.seeds), own) >= _FEWEST
             (firm if enough else loose).append(f"{cell.agent} {signed(gain)}")
     if not firm and not loose:
-        return f" No agent trained on pictures is told apart from {reference}: every interval of a difference holds 0."
-    found = f" Told apart from {reference}: {', '.join(firm)}." if firm else ""
+        return f" No agent trained on images differs from {reference}: every interval of a difference includes 0."
+    found = f" Different from {reference}: {', '.join(firm)}." if firm else ""
     if loose:
         found += (
-            f" On these puzzles another than {reference}, but from fewer than {_FEWEST} seeds, which tells nothing of "
-            f"another seed: {', '.join(loose)}."
+            f" Different from {reference} on these puzzles, but with fewer than {_FEWEST} seeds, which says nothing "
+            f"about other seeds: {', '.join(loose)}."
         )
     return found
 
@@ -60,7 +62,7 @@ def _gains(trained: Sequence[ReportCell], reference: str | None) -> str:
 def notes(
     results: ReportNumbers, runs: Sequence[ScoredRun], proven: Sequence[ProofGroup], unchecked: Sequence[str]
 ) -> Iterator[str]:
-    """Everything that weakens what the tables say; `unchecked` are agents whose configurations were not all seen."""
+    """Yield everything that weakens the tables; `unchecked` are agents with missing configurations."""
     yield from _on_runs(results)
     yield from _on_encoders(runs)
     yield from _on_comparisons(results)
@@ -69,18 +71,18 @@ def notes(
     if any(cell.paper for cell in results.cells):
         yield (
             "The paper's numbers come from its own simulator, another implementation of the same tasks, after "
-            f"{PAPER_STEPS:,} steps; it does not say of what kind its ± is. Compare orders and gaps rather than digits."
+            f"{PAPER_STEPS:,} steps; the paper does not define its ±. Compare orders and gaps rather than digits."
         )
     if unchecked:
         yield (
-            f"Whether the runs of {', '.join(unchecked)} differ in seeds alone could not be checked in full: some of "
-            "their configurations are not at hand."
+            f"It could not be fully checked that the runs of {', '.join(unchecked)} differ only in seeds: some of "
+            "their configurations were not found."
         )
     yield from results.left_behind
 
 
 def _on_encoders(runs: Sequence[ScoredRun]) -> Iterator[str]:
-    """Runs that share one encoder are no samples of what play is worth."""
+    """Note agents whose runs share an encoder: they are no sample of exploration runs."""
     made: dict[tuple[str, str], dict[int | str, str]] = {}
     for run in runs:
         for policy in run.lineage.parents:
@@ -89,8 +91,8 @@ def _on_encoders(runs: Sequence[ScoredRun]) -> Iterator[str]:
     shared = {name for (name, _), encoders in made.items() if len(set(encoders.values())) < len(encoders)}
     if shared:
         yield (
-            f"One play and one encoder for several seeds: {', '.join(sorted(shared))}. Their deviation and intervals "
-            "are those of fine-tuning alone: another play, or another encoder of the same, may do better or worse."
+            f"One exploration run and one encoder for several seeds: {', '.join(sorted(shared))}. Their deviation and "
+            "intervals cover fine-tuning alone: another exploration run or encoder may do better or worse."
         )
 
 
@@ -100,13 +102,13 @@ def _on_runs(results: ReportNumbers) -> Iterator[str]:
     if single:
         names = ", ".join(single)
         yield (
-            f"One seed only on some task or all: {names}. There is no deviation then, and the interval is over puzzles "
-            "alone: it says nothing of another training seed."
+            f"Only one seed on at least one task: {names}. Such a score has no deviation, and its interval is over "
+            "puzzles alone: it says nothing about another training seed."
         )
     budgets = sorted({cell.trained for cell in trained})
     if len(budgets) > 1:
         listed = ", ".join(map(steps, budgets))
-        yield f"Agents were trained for different lengths ({listed} steps): their scores differ for that reason, too."
+        yield f"Agents were trained for different lengths ({listed} steps), which also makes their scores differ."
     holes = [
         f"{agent} on {task}"
         for agent in results.agents
@@ -114,7 +116,7 @@ def _on_runs(results: ReportNumbers) -> Iterator[str]:
         if is_trained(agent) and results.cell(agent, task) is None
     ]
     if holes:
-        yield f"Not scored: {', '.join(holes)}. Figures over tasks take the tasks that an agent has."
+        yield f"Not scored: {', '.join(holes)}. Numbers over all tasks use only the tasks on which an agent was scored."
 
 
 def _on_comparisons(results: ReportNumbers) -> Iterator[str]:
@@ -122,26 +124,27 @@ def _on_comparisons(results: ReportNumbers) -> Iterator[str]:
     if len(runs) > 1 and min(runs) < _FEW:
         n = min(runs)
         yield (
-            f"With {count(n, 'run')} a task and agent, even complete separation of two agents on one task has p = "
+            f"With {count(n, 'run')} per task and agent, even complete separation of two agents on one task has p = "
             f"{number(least_p_value(n, n), 2)} by Mann and Whitney's exact test. Bootstrap intervals of so few runs "
             "are too narrow."
         )
     ceilings = [agent for agent in results.agents if standing(agent) == 1]
     if ceilings:
-        yield f"{', '.join(ceilings)} sees the simulator's state, no pictures: a ceiling, never called the best."
+        names = ", ".join(ceilings)
+        yield f"{names} sees the simulator state instead of images: an upper bound, never called the best."
     if any(aggregate.runs < 4 for aggregate in results.aggregates):
-        yield "Of fewer than four scores the interquartile mean cuts none: it is the mean of the scores then."
+        yield "The interquartile mean of fewer than four scores cuts none of them: it is their mean."
 
 
 def _on_proofs(proven: Sequence[ProofGroup]) -> Iterator[str]:
     missing = [one for one in proven if one.verdict == "missing"]
     for agent in dict.fromkeys(one.agent for one in missing):
-        yield f"Nothing certifies that the encoder of {agent} is task-free: see the proof below."
+        yield f"Nothing proves that the encoder of {agent} is task-free: see the proof below."
     for one in proven:
         if one.recorded:
             yield (
-                f"Scores of {one.agent} say of themselves {', '.join(map(repr, one.recorded))}; walked again, their "
-                f"records say {one.verdict!r}, which is what stands here."
+                f"The verdict in scores of {one.agent} is {', '.join(map(repr, one.recorded))}; their lineage gives "
+                f"{one.verdict!r}, which this report shows."
             )
 
 
@@ -149,11 +152,11 @@ def _on_makers(runs: Sequence[ScoredRun]) -> Iterator[str]:
     codes = Counter(one_line(run.lineage.code) for run in runs)
     if len(codes) > 1:
         listed = ", ".join(f"{code} ({count(n, 'score')})" for code, n in sorted(codes.items()))
-        yield f"Scored by {len(codes)} versions of the code: {listed}."
+        yield f"The scores were made by {len(codes)} versions of the code: {listed}."
     seeds = {run.record.evaluation_seed for run in runs if is_trained(run.name)}
     if len(seeds) > 1:
         listed = ", ".join(sorted(map(str, seeds)))
         yield f"Policies' actions were drawn with different evaluation seeds ({listed})."
     short = sorted({run.name for run in runs if len(run.puzzles) < PER_SET})
     if short:
-        yield f"Fewer than {PER_SET} puzzles were played by: {', '.join(short)}. Other rows are of more puzzles."
+        yield f"Fewer than {PER_SET} puzzles were played by: {', '.join(short)}. Other rows have more puzzles."

@@ -188,27 +188,27 @@ def _improvements(
 
 
 def number(value: float, digits: int = 3) -> str:
-    """`.532`, `1.000`, `−.012`: no zero before the point, as the tables of papers have it."""
+    """Format as `.532`, `1.000` or `−.012`: no zero before the point, as in the tables of papers."""
     text = f"{abs(value):.{digits}f}".removeprefix("0" if digits else "")
     return f"−{text}" if value < 0 and text.strip(".0") else text
 
 
 def interval(estimate: Estimate, digits: int = 2) -> str:
-    """`[.50, .56]`; nothing where there is none."""
+    """Format as `[.50, .56]`; an empty text if there is no interval."""
     if estimate.low is None or estimate.high is None:
         return ""
     return f"[{number(estimate.low, digits)}, {number(estimate.high, digits)}]"
 
 
 def signed(estimate: Estimate) -> str:
-    """`+.023 [−.011, .054]`."""
+    """Format as `+.023 [−.011, .054]`."""
     value = number(estimate.value)
     sign = "" if value.startswith("−") else "+"
     return f"{sign}{value} {interval(estimate, 3)}".rstrip()
 
 
 def steps(value: float | None) -> str:
-    """`200K`, `1.05M`, `0`."""
+    """Format as `200K`, `1.05M` or `0`."""
     if value is None:
         return "not reached"
     if value < 1000:
@@ -218,5 +218,5 @@ def steps(value: float | None) -> str:
 
 
 def count(n: int, noun: str) -> str:
-    """`1 run`, `3 runs`."""
+    """Format as `1 run` or `3 runs`."""
     return f"{n:,} {noun}{'' if n == 1 else 's'}"

@@ -1,4 +1,4 @@
-"""A report as a page (HTML, one file, nothing fetched, no script) and as Markdown."""
+"""A report as a page (HTML, one file, no network, no script) and as Markdown."""
 
 import base64
 import functools
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class ReportContent(msgspec.Struct, frozen=True):
-    """All that a page says; `table.json` is this, without the pictures."""
+    """Everything on a page except the figures; `table.json` holds it."""
 
     title: str
     config: dict[str, Any]
@@ -35,16 +35,16 @@ class ReportContent(msgspec.Struct, frozen=True):
     settings: list[SharedConfig]
     recipes: list[Recipe]
     makers: list[dict[str, Any]]
-    """Code version, packages and hardware of the scores, distinct ones."""
+    """Each code version, set of packages and hardware that made scores."""
 
 
 def html(content: ReportContent, figures: Sequence[ReportFigure], config: ReportConfig) -> str:
-    """The page."""
+    """Render the page."""
     return _render("page.html.jinja", content, figures, config)
 
 
 def markdown(content: ReportContent, figures: Sequence[ReportFigure], config: ReportConfig) -> str:
-    """The same in Markdown, with figures beside it."""
+    """Render the same in Markdown, with links to the figures."""
     return _render("page.md.jinja", content, figures, config)
 
 
@@ -88,33 +88,33 @@ def _render(template: str, content: ReportContent, figures: Sequence[ReportFigur
 
 
 def _compared(results: ReportNumbers) -> list[str]:
-    """Agents of the matrix, in the order of the rows."""
+    """Return the agents of the matrix, in the order of the rows."""
     there = {one.agent for one in results.improvements}
     return [agent for agent in results.agents if agent in there]
 
 
 def _best(results: ReportNumbers) -> dict[str, str]:
-    """The agent with the highest mean of those that are compared, by task."""
+    """Return the compared agent with the highest mean, by task."""
     compared = [cell for cell in results.cells if standing(cell.agent) == 0]
     return {cell.task: cell.agent for cell in sorted(compared, key=lambda cell: cell.score.value)}
 
 
 def _crossing(results: ReportNumbers, task: str) -> tuple[list[ReportCell], list[str]]:
-    """Of a task, agents that reached some threshold in some run, and the names of the other trained ones."""
+    """Return the task's agents that reached a threshold in a run, and the names of the other trained agents."""
     trained = [cell for cell in results.cells if cell.task == task and cell.trained]
     there = [cell for cell in trained if any(steps is not None for one in cell.crossings for steps in one.steps)]
     return there, [cell.agent for cell in trained if cell not in there]
 
 
 def _bound(cell: ReportCell, value: float | None, *, short: bool = False) -> str:
-    """Steps to a threshold: a bound from above where the first checkpoint is there already."""
+    """Format the steps to a threshold; with `≤` if the first checkpoint already reaches it."""
     if value is None:
         return "–" if short else "not reached"
     return f"{'≤ ' if value <= cell.learning.x[0] else ''}{numbers.steps(value)}"
 
 
 def _breakable(name: str) -> "Markup":
-    """A name that a narrow column may break behind any mark, and within a long word."""
+    """Return a name that a narrow column may break after any punctuation and within a long word."""
     from markupsafe import Markup, escape
 
     parts = re.findall(r"[^\W_]{1,12}|[\W_]", name)
@@ -122,5 +122,5 @@ def _breakable(name: str) -> "Markup":
 
 
 def _data(svg: bytes) -> str:
-    """An address that holds the picture itself: nothing in it can run, or clash with the page."""
+    """Return an address that contains the figure itself: nothing in it can run or affect the page."""
     return f"data:image/svg+xml;base64,{base64.b64encode(svg).decode()}"

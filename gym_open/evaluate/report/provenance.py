@@ -1,4 +1,4 @@
-"""Where the scores of a report come from: proofs, configurations, and the commands that make them again."""
+"""Origin of the scores of a report: proofs, configurations, and commands that make the scores again."""
 
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,13 +15,13 @@ from gym_open.results.runs import ScoredRun
 from gym_open.terminal import printable
 
 _VARIES = ("seed", "task", "agent", "at")
-"""Keys that commands give as options, so that one file serves all runs."""
+"""Keys that the commands give as options, so that all runs can share one file."""
 _STAGES = {"log": "collect", "release": "release", "encoder": "encoder", "policy": "policy"}
-"""Name of a configuration file, by kind of artefact."""
+"""Start of the name of a configuration file, by kind of artefact."""
 
 
 class ProofGroup(msgspec.Struct, frozen=True):
-    """The proof of some runs of an agent, walked again for the report."""
+    """The proof that some runs of an agent share, computed again for the report."""
 
     agent: str
     scores: int
@@ -30,33 +30,33 @@ class ProofGroup(msgspec.Struct, frozen=True):
     chains: list["ProofChain"]
     rests_on: str
     recorded: list[str]
-    """Verdicts in the scores, where they differ from this one."""
+    """Verdicts in the scores, if they differ from this verdict."""
 
 
 class ProofChain(msgspec.Struct, frozen=True):
-    """Policies that come from the same encoder."""
+    """Policies with the same encoder."""
 
     links: list[str]
-    """Below the policy, down to the logs; none if it started from nothing."""
+    """Links below the policy, down to the logs; empty without an encoder."""
     policies: list[str]
     """Task, seed and digest of each."""
 
 
 class SharedConfig(msgspec.Struct, frozen=True):
-    """A configuration that some runs share, apart from seed, task and agent's name."""
+    """A configuration that some runs share, except for seed, task and agent's name."""
 
     name: str
-    """Of its file in the commands."""
+    """Name of its file in the commands."""
     kind: str
     agents: list[str]
     toml: str | None
-    """None: it is not among the sources."""
+    """None if it was not found."""
     sha256: list[str]
-    """Of the `config.json` files that hold it."""
+    """Digests of the `config.json` files that hold it."""
 
 
 class Recipe(msgspec.Struct, frozen=True):
-    """How to make an agent's scores again."""
+    """Commands that make an agent's scores again."""
 
     agent: str
     tasks: list[str]
@@ -65,7 +65,7 @@ class Recipe(msgspec.Struct, frozen=True):
 
 
 def proofs(runs: Sequence[ScoredRun], agents: Sequence[str]) -> list[ProofGroup]:
-    """The task-free proof of every run, equal ones of an agent together, agents in the given order."""
+    """Compute the task-free proof of every run; group equal proofs of an agent, agents in the given order."""
     groups: dict[tuple[str, str, tuple[str, ...], str], list[tuple[ScoredRun, Proof]]] = {}
     for run in runs:
         proof = _proof(run)
@@ -94,21 +94,21 @@ def _chains(members: Sequence[tuple[ScoredRun, Proof]]) -> list[ProofChain]:
 
 
 def _proof(run: ScoredRun) -> Proof:
-    """Walked in the records that the scores carry, whatever scores.json says."""
+    """Compute the proof from the records in the lineage of the scores; `scores.json` is not believed."""
     if run.record.agent in UNTRAINED and run.record.proof.verdict in ("no encoder", "not applicable"):
         return run.record.proof
     if not run.lineage.parents:
-        reason = "its lineage names no policy, so nothing is known of what played"
+        reason = "its lineage names no policy, so the player is unknown"
         return Proof(verdict="missing", reasons=[reason], chain=[])
     return task_free_proof(run.lineage.parents[0])
 
 
 class _ChainLink(msgspec.Struct, frozen=True):
-    """An artefact of a chain, or the scores at its head."""
+    """An artefact of a chain, or the scores at its end."""
 
     run: ScoredRun
     place: str
-    """The kinds on the way to it, which is what tells the links of a chain apart: `policy/encoder/release`."""
+    """Kinds from the scores down to this link, such as `policy/encoder/release`; unique in a chain."""
     kind: str
     sha256: str
     config: dict[str, Any] | None
@@ -116,18 +116,18 @@ class _ChainLink(msgspec.Struct, frozen=True):
 
     @property
     def shared(self) -> bytes | None:
-        """What makes two configurations one file."""
+        """The configuration without what varies: links with equal bytes share a file."""
         if self.config is None:
             return None
         return canonical_json({key: value for key, value in self.config.items() if key not in _VARIES})
 
     @property
     def file(self) -> tuple[str, bytes | str]:
-        """What links of one configuration file have in common; of one that is not at hand, all of an agent's."""
+        """Identity of the link's configuration file; if the file was not found, one per agent and place."""
         return self.kind, self.shared or f"{self.run.name}: {self.place}"
 
     def walk(self) -> Iterator["_ChainLink"]:
-        """Inputs first."""
+        """Yield this link and all links below it, inputs first."""
         for parent in self.parents:
             yield from parent.walk()
         yield self
@@ -136,10 +136,10 @@ class _ChainLink(msgspec.Struct, frozen=True):
 def recipes(
     runs: Sequence[ScoredRun], agents: Sequence[str], configs: Mapping[str, dict[str, Any]]
 ) -> tuple[list[SharedConfig], list[Recipe]]:
-    """The distinct configurations behind some runs, and the commands for every agent.
+    """Return the distinct configurations of some runs, and the commands for every agent.
 
     Args:
-        runs: scores.
+        runs: the runs.
         agents: their names, in the order of the recipes.
         configs: configurations by SHA-256 of their file.
     """
@@ -165,7 +165,7 @@ def recipes(
 
 
 def _settings(links: Sequence[_ChainLink]) -> dict[tuple[str, bytes | str], SharedConfig]:
-    """Configuration files, numbered by kind."""
+    """Name the configuration files, with a number per kind."""
     named: dict[tuple[str, bytes | str], SharedConfig] = {}
     for link in links:
         if link.file not in named:
@@ -197,7 +197,7 @@ def _chain(run: ScoredRun, configs: Mapping[str, dict[str, Any]]) -> _ChainLink:
 def _commands(
     run: ScoredRun, heads: Sequence[_ChainLink], named: Mapping[tuple[str, bytes | str], SharedConfig]
 ) -> list[str]:
-    """Of all runs, with `$TASK` and `$SEED` for what varies. A line that is not for all of them says for which."""
+    """Return the commands for all runs, with `$TASK` and `$SEED`. A comment names the runs if a line is not for all."""
     if run.record.agent == "oracle":
         return [f"gym-open evaluate --task $TASK --split {run.record.split} --oracle --out scores"]
     if run.record.agent == "human":
@@ -232,14 +232,14 @@ def _command(link: _ChainLink, file: str, names: Mapping[str, str], *, follows: 
         case "release" if inputs.keys() == {"log"}:
             words = f"dataset build --logs {every}"
         case "release":
-            return f"# {names[link.place]}: merged, filtered or appended from {every}; its rebuild/ folder says how"
+            return f"# {names[link.place]}: merged, filtered or appended from {every}; see its rebuild/ folder"
         case "encoder":
             words = f"train encoder --release {every}"
         case "policy":
             words = f"train policy --encoder {every}" if every else "train policy"
         case _:
             words = f"evaluate --policy {every}" if every else "evaluate"
-    # of a policy, the lineage tells what a configuration that is not at hand must have said
+    # without a policy's configuration, the lineage still says which keys it must have
     own = {"task": None, "seed": None, "agent": link.run.record.agent} if link.kind == "policy" else {}
     config = own if link.config is None else link.config
     task = " --task $TASK" if "task" in config else ""
@@ -251,6 +251,6 @@ def _command(link: _ChainLink, file: str, names: Mapping[str, str], *, follows: 
 
 
 def _toml(config: Mapping[str, Any]) -> str:
-    """What can be given with `--config`; TOML has no null, and a key left out is its default."""
+    """Return TOML for `--config`; TOML has no null, and a missing key has its default."""
     kept = {key: value for key, value in config.items() if key not in _VARIES}
     return printable(to_toml(kept).strip())

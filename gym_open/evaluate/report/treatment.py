@@ -1,4 +1,4 @@
-"""Runs of one agent differ in their seeds, and in nothing else that could have made their scores differ."""
+"""Check that the runs of one agent differ only in their seeds: nothing else may explain different scores."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -12,31 +12,31 @@ Configs = Mapping[str, Mapping[str, Any]]
 """Configurations by SHA-256 of their file."""
 
 _FREE = frozenset({"seed", "task", "agent", "threads", "device", "checkpoints"})
-"""Keys of a configuration that may differ: which run it is, on what, and when it was looked at."""
+"""Keys of a configuration that may differ: the run, its hardware, and when it was scored."""
 _NAMES = frozenset({"name", "version", "license", "published"})
-"""Keys of a release's configuration that say what it is called."""
+"""Keys of a release's configuration that only name it."""
 _FACTS = {
     "policy": ("encoder", "transfer", "frozen", "steps"), "encoder": ("world_model", "updates"), "log": ("explorer",),
 }  # fmt: skip
-"""What lineages tell of an artefact, its configuration being at hand or not."""
+"""Facts in the lineage, which can be compared without the configuration."""
 _UNSET = "not set"
 
 
 class _Difference(NamedTuple):
     kind: str
-    """Of the artefact that differs."""
+    """Kind of the artefact that differs."""
     field: str
     ours: Any
     theirs: Any
 
 
 def check_treatments(runs: Sequence[ScoredRun], configs: Configs) -> None:
-    """See to it that the runs of each row of a report were made in one way.
+    """Check that all runs of each row of a report were made in the same way.
 
-    Configurations are compared as far as they are at hand; `unchecked` names the rows where some are not.
+    Only configurations that were found are compared; `unchecked` names the rows with missing configurations.
 
     Raises:
-        ArtefactError: naming two runs of an agent that differ in more than seed and task, and where.
+        ArtefactError: if two runs of an agent differ in more than seed and task; names both, the field and the values.
     """
     first: dict[str, ScoredRun] = {}
     for run in runs:
@@ -46,14 +46,14 @@ def check_treatments(runs: Sequence[ScoredRun], configs: Configs) -> None:
         for kind, field, ours, theirs in _differences(other, run, configs):
             raise ArtefactError(
                 f"{other.folder} and {run.folder}: both are scores of an agent called {run.name!r}, but the {kind}'s "
-                f"`{field}` is {_shown(ours)} in the first and {_shown(theirs)} in the second: runs of an agent differ "
-                "in seeds and tasks alone; train them with names of their own (`gym-open train policy --agent NAME`), "
-                "or give folders that hold only one kind"
+                f"`{field}` is {_shown(ours)} in the first and {_shown(theirs)} in the second: runs of an agent may "
+                "differ only in seeds and tasks; train them with names of their own (`gym-open train policy --agent "
+                "NAME`), or give folders that hold only one kind"
             )
 
 
 def unchecked(runs: Sequence[ScoredRun], configs: Configs) -> list[str]:
-    """Agents of several policies that were compared without some of their configurations."""
+    """Return the agents with several policies of which some configurations were not found."""
     policies: dict[str, set[str]] = {}
     unseen: set[str] = set()
     for run in runs:
@@ -80,7 +80,7 @@ def _differences(one: ScoredRun, other: ScoredRun, configs: Configs) -> Iterator
 
 
 def _links(run: ScoredRun) -> Iterator[tuple[str, Parent]]:
-    """The policy and all that it comes from, by the kinds on the way to each."""
+    """Yield the policy and everything that it was made from, each with the kinds on the way to it."""
 
     def walk(link: Parent, place: str) -> Iterator[tuple[str, Parent]]:
         yield place, link
@@ -97,7 +97,7 @@ def _config(link: Parent, configs: Configs) -> Mapping[str, Any] | None:
 
 
 def _flat(config: Mapping[str, Any], free: frozenset[str]) -> Iterator[tuple[str, Any]]:
-    """Keys with points between the levels, and their values."""
+    """Yield keys and values; the keys of nested tables are joined with points."""
     for key, value in config.items():
         if key in free:
             continue

@@ -90,7 +90,7 @@ def test_commands_say_which_runs_they_are_for_if_not_for_all(pair: Callable[...,
 def test_what_could_not_be_compared_is_said(pair: Callable[..., None], tmp_path: Path) -> None:
     pair({"policy": {"ppo": {"lr": 0.1}}})
     assert any(
-        "Whether the runs of ours differ in seeds alone could not" in note
+        "could not be fully checked that the runs of ours differ only in seeds" in note
         for note in _report(tmp_path / "scores")["notes"]
     )
 
@@ -102,7 +102,7 @@ def test_that_nothing_is_told_apart_is_said_of_the_trained_alone(tmp_path: Path,
         make_run(tmp_path / "scores" / agent, agent=agent, trained=1000, policy=policy, draw=7)
     make_run(tmp_path / "scores" / "random", agent="random", skill=0.01)
     found = _report(tmp_path / "scores")["findings"][0]
-    assert "No agent trained on pictures is told apart from scratch" in found
+    assert "No agent trained on images differs from scratch" in found
 
 
 @pytest.mark.parametrize("shared", [False, True])
@@ -117,8 +117,10 @@ def test_three_seeds_may_tell_apart_and_a_shared_encoder_is_said(
             out = tmp_path / "scores" / f"{agent}-{seed}"
             make_run(out, agent=agent, seed=seed, trained=1000, policy=policy, skill=skill)
     table = _report(tmp_path / "scores")
-    assert "Told apart from scratch: curl+ride +" in table["findings"][0]
+    assert "Different from scratch: curl+ride +" in table["findings"][0]
     said = [
-        note for note in table["notes"] if note.startswith("One play and one encoder for several seeds: curl+ride.")
+        note
+        for note in table["notes"]
+        if note.startswith("One exploration run and one encoder for several seeds: curl+ride.")
     ]
     assert bool(said) == shared

@@ -115,7 +115,7 @@ def test_a_report_alone_shows_the_same(drawn: Recording, report: Path, tmp_path:
         drawn.curve(f"{SCRATCH}/low")[0],
         pytest.approx(drawn.curve(f"{SCRATCH}/low")[1]),
     )
-    assert "What was play worth" in alone.static(r"/about/report\ 1", "TextDocument:text")
+    assert "What was exploration worth" in alone.static(r"/about/report\ 1", "TextDocument:text")
 
 
 def test_training_is_thin_by_seed_and_thick_where_all_seeds_know(drawn: Recording, benchmark: Path) -> None:
