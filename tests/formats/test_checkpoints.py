@@ -1,4 +1,4 @@
-"""Checkpoints: exact, repeatable, and plain about damage."""
+"""Checkpoints: exact and repeatable; errors name the damage."""
 
 import json
 from pathlib import Path
@@ -64,14 +64,14 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
         load_checkpoint(tmp_path / "state.safetensors")
 
 
-def test_a_file_of_someone_else_is_refused(tmp_path: Path) -> None:
+def test_a_file_of_another_program_is_refused(tmp_path: Path) -> None:
     save_file({"a": torch.zeros(1)}, tmp_path / "theirs.safetensors", metadata={"other": json.dumps({})})
     with pytest.raises(ArtefactError, match="gym-open did not write it"):
         load_checkpoint(tmp_path / "theirs.safetensors")
 
 
 def network() -> nn.Sequential:
-    """Its convolution's weights lie channel by channel in memory."""
+    """The weights of its convolution are in channels-last layout."""
     layers = nn.Sequential(nn.Conv2d(3, 4, 2), nn.Flatten(), nn.Linear(4, 2))
     return layers.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]  (missing in torch's stubs)
 
@@ -85,7 +85,7 @@ def train(net: nn.Sequential, optimizer: torch.optim.Optimizer, steps: int) -> N
 
 
 @pytest.mark.parametrize("fused", [False, True])
-def test_adam_goes_on_as_if_never_stopped(tmp_path: Path, *, fused: bool) -> None:
+def test_adam_continues_exactly(tmp_path: Path, *, fused: bool) -> None:
     net = network()
     optimizer = torch.optim.Adam(net.parameters(), lr=0.01, eps=1e-5, fused=fused)
     train(net, optimizer, 3)
@@ -102,7 +102,7 @@ def test_adam_goes_on_as_if_never_stopped(tmp_path: Path, *, fused: bool) -> Non
     assert all(torch.equal(a, b) for a, b in zip(net.parameters(), other.parameters(), strict=True))
 
 
-def test_generator_state_goes_through(tmp_path: Path) -> None:
+def test_generator_state_comes_back(tmp_path: Path) -> None:
     generator = torch.Generator().manual_seed(7)
     torch.rand(3, generator=generator)
     save_checkpoint(tmp_path / "x", {"rng": generator.get_state()}, {})

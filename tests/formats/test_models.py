@@ -1,4 +1,4 @@
-"""Encoders and policies on disk, and what happens when they are not what they say."""
+"""Encoders and policies on disk, and errors for files that do not fit together."""
 
 import json
 from pathlib import Path
@@ -101,7 +101,7 @@ def test_no_model_at_all(tmp_path: Path) -> None:
         load_policy(tmp_path)
 
 
-def test_a_folder_that_holds_something_else_is_told_what(tmp_path: Path) -> None:
+def test_a_folder_with_another_kind_of_model_is_named(tmp_path: Path) -> None:
     save_policy(tmp_path / "policy", policy())
     save_encoder(tmp_path / "encoder", encoder())
     (tmp_path / "policy/file").write_text("")
@@ -117,7 +117,7 @@ def test_a_folder_that_holds_something_else_is_told_what(tmp_path: Path) -> None
         load_encoder(tmp_path / "encoder")
 
 
-def test_a_log_of_random_play_has_no_encoder(tmp_path: Path) -> None:
+def test_the_log_of_a_random_explorer_has_no_encoder(tmp_path: Path) -> None:
     log = artefacts.build(tmp_path / "log", kind="log", config=Config(), parents=(), work=lambda _: {}).path
     with pytest.raises(ArtefactError, match=r"/log: a log without an encoder.*random explorer"):
         load_encoder(log)

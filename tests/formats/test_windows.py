@@ -1,4 +1,4 @@
-"""The reader for training: windows and batches against brute force over the release, and caches that never lie."""
+"""The reader for training: windows and batches compared with brute force, and caches that never return wrong data."""
 
 import itertools
 import pickle
@@ -23,7 +23,7 @@ from gym_open.formats.windows import Pictures, Windows
 
 CONFIG = ReleaseConfig(val_fraction=0.34, max_episode_steps=7)
 BLOCK_BYTES = 8 * 84 * 84 * 3
-"""Of the tests' pictures, which are noise and do not compress."""
+"""Size of a block: the tests' images are noise and do not compress."""
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def pictures(release: Release) -> Pictures:
 
 
 def brute_force(release: Release, split: str, length: int, stride: int) -> list[list[int]]:
-    """Frame numbers of every window, one by one."""
+    """Frame numbers of every window, found by brute force."""
     found = []
     for row in release.episodes.to_dict("records"):
         if row["split"] == split:
@@ -86,7 +86,7 @@ def test_values_are_those_of_the_release(pictures: Pictures, every: np.ndarray) 
     }  # fmt: skip
 
 
-def test_nothing_is_done_after_an_episodes_last_frame(pictures: Pictures) -> None:
+def test_an_episodes_last_frame_has_no_action(pictures: Pictures) -> None:
     windows = Windows(pictures, "train", 3)
     actions, frames = (
         get(np.arange(len(windows))) for get in (lambda n: windows.fetch(n)["action.index"], windows.frames)
@@ -105,7 +105,7 @@ def test_same_seed_same_batches_whatever_the_workers(pictures: Pictures, workers
         assert all(np.array_equal(batch[name], expected[name]) for name in expected)
 
 
-def test_an_interrupted_run_goes_on_with_skip(pictures: Pictures) -> None:
+def test_an_interrupted_run_continues_with_skip(pictures: Pictures) -> None:
     windows = Windows(pictures, "train", 2)
     whole = list(itertools.islice(windows.batches(np.random.default_rng(4), 3, workers=2), 9))
     rest = list(itertools.islice(windows.batches(np.random.default_rng(4), 3, skip=4), 5))
@@ -128,7 +128,7 @@ def test_prefetching_is_bounded_and_ends_with_the_reader(pictures: Pictures, mon
 
 @pytest.mark.parametrize("blocks", [0, 1, 3, 1000])
 @pytest.mark.parametrize("disk", [False, True])
-def test_any_bound_gives_the_same_pictures(
+def test_any_limit_gives_the_same_images(
     release: Release, every: np.ndarray, tmp_path: Path, blocks: int, *, disk: bool
 ) -> None:
     limit = blocks * (BLOCK_BYTES + 100) + 100
@@ -142,7 +142,7 @@ def test_any_bound_gives_the_same_pictures(
         assert sum(path.stat().st_size for path in (tmp_path / "cache").iterdir()) == bounded.nbytes
 
 
-def test_a_bound_holds_to_the_byte(release: Release, pictures: Pictures) -> None:
+def test_the_limit_is_exact_to_the_byte(release: Release, pictures: Pictures) -> None:
     assert pictures.cached == len(release)
     assert Pictures(release, limit_bytes=pictures.nbytes).cached == len(release)
     less = Pictures(release, limit_bytes=pictures.nbytes - 1)
@@ -150,7 +150,7 @@ def test_a_bound_holds_to_the_byte(release: Release, pictures: Pictures) -> None
     assert less.nbytes < pictures.nbytes
 
 
-def test_pictures_of_a_video_come_out_of_the_cache_as_decoded(log: Path, tmp_path: Path) -> None:
+def test_the_cache_returns_images_of_a_video_as_decoded(log: Path, tmp_path: Path) -> None:
     config = msgspec.structs.replace(CONFIG, pictures="video")
     video = open_release(build_release(config, [log], tmp_path / "video").path)
     every = video.images(range(len(video)))
@@ -161,14 +161,14 @@ def test_pictures_of_a_video_come_out_of_the_cache_as_decoded(log: Path, tmp_pat
 
 @pytest.fixture
 def decoded(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Numbers of frames decoded from any release from here on."""
+    """Numbers of frames that are decoded from any release from now on."""
     counts: list[int] = []
     original = Release.images
     monkeypatch.setattr(Release, "images", lambda self, frames: (counts.append(len(frames)), original(self, frames))[1])
     return counts
 
 
-def test_a_cache_is_made_once_for_a_release_and_a_bound(
+def test_a_cache_is_made_once_per_release_and_limit(
     release: Release, every: np.ndarray, tmp_path: Path, decoded: list[int]
 ) -> None:
     Pictures(release, cache=tmp_path)
@@ -183,7 +183,7 @@ def test_a_cache_is_made_once_for_a_release_and_a_bound(
     assert [path.name for path in tmp_path.iterdir() if path.name[0] != "."] == [f"{release.digest}.frames"]
 
 
-def test_another_release_at_the_same_path_never_gets_the_old_pictures(
+def test_another_release_at_the_same_path_never_gets_the_old_images(
     release: Release, make_log: Callable[..., Path], tmp_path: Path
 ) -> None:
     root, cache = tmp_path / "release", tmp_path / "cache"
@@ -220,7 +220,7 @@ def test_every_byte_is_checked_before_a_cache_is_made(release: Release, tmp_path
     assert [path.suffix for path in (tmp_path / "cache").iterdir()] == [".lock"]
 
 
-def test_a_cache_that_was_not_finished_is_never_taken(
+def test_an_incomplete_cache_is_never_used(
     release: Release, every: np.ndarray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = tmp_path / "whole"
@@ -277,13 +277,13 @@ def test_two_at_once_make_one_cache(release: Release, every: np.ndarray, tmp_pat
     assert sum(decoded) == len(release)
 
 
-def test_a_full_disk_is_said(release: Release, tmp_path: Path) -> None:
+def test_a_full_disk_is_a_clear_error(release: Release, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ArtefactError, match="give another cache folder"):
         Pictures(release, cache=tmp_path / "file")
 
 
-def test_windows_travel_to_other_processes_with_a_cache_on_disk(
+def test_windows_can_be_sent_to_other_processes_with_a_cache_on_disk(
     release: Release, pictures: Pictures, tmp_path: Path
 ) -> None:
     windows = Windows(Pictures(release, cache=tmp_path), "train", 3)

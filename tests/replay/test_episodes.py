@@ -1,4 +1,4 @@
-"""Scores played again: what was recorded comes out again, and what is forged is found though its manifest is anew."""
+"""Replay of scores: it gives what was recorded, and it finds forgeries even if their manifest is new."""
 
 import shutil
 from collections.abc import Callable, Mapping
@@ -38,7 +38,7 @@ def scores(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def forge(scores: Path, tmp_path: Path) -> Forge:
-    """Copies the scores, changes the copy, and makes its manifest anew: all bytes are then as it says."""
+    """Copies the scores, changes the copy, and makes a new manifest, so that all bytes agree with it."""
 
     def forged(change: Callable[[Path], None]) -> Path:
         folder = shutil.copytree(scores, tmp_path / "forged")
@@ -84,7 +84,7 @@ def rows_of(change: Callable[[list[dict[str, Any]]], list[dict[str, Any]]]) -> C
     return changed
 
 
-def test_a_puzzle_is_played_again_by_its_id(scores: Path) -> None:
+def test_a_puzzle_is_replayed_by_its_id(scores: Path) -> None:
     found = replay_puzzle(scores, "avoidance/017")
     assert found.puzzle == puzzle_by_id("avoidance/017")
     assert tuple(found.actions) == witness_of("avoidance/017").actions
@@ -107,9 +107,7 @@ def test_all_of_honest_scores_follows_from_their_episodes(scores: Path) -> None:
         ("avoidance/validation/017", ArtefactError, "no episode of puzzle"),
     ],
 )
-def test_an_id_that_the_scores_do_not_hold_is_named(
-    scores: Path, name: str, error: type[Exception], message: str
-) -> None:
+def test_an_id_that_the_scores_lack_is_named(scores: Path, name: str, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         replay_puzzle(scores, name)
 
@@ -119,12 +117,12 @@ def test_another_reward_is_found_at_its_step(forge: Forge) -> None:
     folder = forge(in_row(17, rewards=[1.0] + [0.0] * (length - 1)))
     with pytest.raises(ArtefactError, match=r"avoidance/017: step 1: reward 1\.0 was recorded, the replay gave 0\.0"):
         replay_puzzle(folder, "avoidance/017")
-    assert replay_puzzle(folder, "avoidance/018").terminated  # the others are as they were
+    assert replay_puzzle(folder, "avoidance/018").terminated  # the other episodes are unchanged
 
 
 def test_another_action_is_found(forge: Forge) -> None:
     actions = list(witness_of("avoidance/017").actions)
-    actions[-1] = 0  # to stand still before the goal earns nothing
+    actions[-1] = 0  # standing still before the goal gives no reward
     with pytest.raises(
         ArtefactError, match=f"avoidance/017: step {len(actions)}: reward 1.0 was recorded, the replay gave 0.0"
     ):
@@ -151,7 +149,7 @@ def test_a_row_that_cannot_have_been_played_is_refused(forge: Forge, fields: Map
 
 
 @pytest.mark.parametrize("index", [0, 99])
-def test_an_episode_goes_on_to_its_end_and_no_further(forge: Forge, index: int) -> None:
+def test_an_episode_ends_where_its_task_ends_it(forge: Forge, index: int) -> None:
     name = f"avoidance/{index:03d}"
     actions = list(witness_of(name).actions)
     longer = {"actions": [*actions, 0], "rewards": [0.0] * (len(actions) - 1) + [1.0, 0.0], "steps": len(actions) + 1}
@@ -179,8 +177,8 @@ def test_a_number_that_does_not_follow_is_named(forge: Forge, fields: Mapping[st
         verify_scores(forge(in_record(**fields)))
 
 
-def test_rewards_that_the_numbers_follow_from_are_still_played_again(forge: Forge) -> None:
-    """Rewards, and all numbers that come of them, are better by as much; the actions are as they were."""
+def test_consistent_rewards_are_still_replayed(forge: Forge) -> None:
+    """Rewards and all numbers computed from them are higher by the same amount; the actions are unchanged."""
     length = len(witness_of("avoidance/000").actions)
 
     def change(folder: Path) -> None:
@@ -227,7 +225,7 @@ def test_scores_of_a_policy_that_name_none_are_cut(forge: Forge) -> None:
 def test_who_played_must_follow_from_the_lineage(
     scores: Path, tmp_path: Path, fields: Mapping[str, Any], message: str
 ) -> None:
-    """Scores of a policy at a checkpoint, that says it had no encoder, and has no weights either: nothing is proven."""
+    """The policy was scored at a checkpoint and claims that it had no encoder; without weights nothing is proven."""
     facts = {
         "task": "avoidance", "steps": 640, "agent": "theirs", "seed": 1, "encoder": "none", "from_encoder": False,
         "checkpoints": [{"asked": 200, "step": 224}],
@@ -290,7 +288,7 @@ def test_no_scores_are_no_scores(tmp_path: Path) -> None:
         replay_puzzle(made.path, "avoidance/017")
 
 
-def test_random_play_comes_out_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_random_agent_is_replayed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(play, "puzzles_of", lambda task, split: puzzles_of(task, split)[:2])
     made = evaluate(EvaluateConfig(task="preferences", split="validation", threads=1), None, tmp_path / "scores").path
     record = read_scores(made)

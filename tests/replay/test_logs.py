@@ -1,4 +1,4 @@
-"""A replay of real play is identical, and finds whatever was changed in a log: where, and by how much."""
+"""A replay of real steps is identical, and finds every change in a log: where, and by how much."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -27,7 +27,7 @@ from gym_open.replay.table import replay_report
 EVERY = 16
 TOLERANCE = 1e-3
 STEPS = 40
-"""A segment's: windows of 16, 16 and 8."""
+"""Steps of a segment, which has windows of 16, 16 and 8 steps."""
 
 
 def head(*puzzles: Puzzle, model: str = "") -> LogHead:
@@ -39,7 +39,7 @@ def seen(world: World) -> dict[str, Any]:
 
 
 def played(puzzle: Puzzle, actions: list[int], *, index: int = 0, first: int = 0, hits: bool = False) -> list[Record]:
-    """A segment of real play in a world of its own, and the switch after it."""
+    """A segment of real steps in a world of its own, and the switch after it."""
     world = World()
     world.load(puzzle, recolour_hits=hits)
     made: list[Record] = []
@@ -59,7 +59,7 @@ def played(puzzle: Puzzle, actions: list[int], *, index: int = 0, first: int = 0
 
 @pytest.fixture(scope="module")
 def made() -> list[Record]:
-    """Two segments in two worlds, with pushes among them."""
+    """Two segments in two worlds, in which the agent pushes objects."""
     rng = np.random.default_rng(5)
     records: list[Record] = [Switch(0, -1, 0, "start", [np.inf, np.inf])]
     for index, puzzle in enumerate(pool()):
@@ -88,7 +88,7 @@ def windows(folder: Path) -> list[ReplayWindow]:
     return list(replay(opened(folder), TOLERANCE))
 
 
-def test_real_play_is_identical(made: list[Record], tmp_path: Path) -> None:
+def test_real_steps_are_identical(made: list[Record], tmp_path: Path) -> None:
     found = windows(write(tmp_path, made))
     assert [window.verdict for window in found] == ["identical"] * 6
     assert [(window.segment, window.first_step, window.steps) for window in found] == [
@@ -105,7 +105,7 @@ def test_every_file_of_a_stream_can_be_replayed_alone(made: list[Record], tmp_pa
 
 
 def test_a_task_is_replayed_with_the_colours_of_its_hits(tmp_path: Path) -> None:
-    """Goals change colour in a task and not in the sandbox: the pictures tell."""
+    """Goals change colour in a task and not in the sandbox, which the images show."""
     puzzle = puzzle_by_id("goal-seeking/000")
     records = played(puzzle, list(witness_of("goal-seeking/000").actions), hits=True)
     records[-1] = msgspec.structs.replace(records[-1], to_world=-1, reason="terminated", world_losses=[0.0])
@@ -117,7 +117,7 @@ Flaw = Callable[[StepRecord], dict[str, Any]]
 
 
 def flawed(made: list[Record], step: int, flaw: Flaw) -> list[Record]:
-    """The records with something changed in one step's."""
+    """The records with a change in one step."""
     return [
         msgspec.structs.replace(record, **flaw(record))
         if isinstance(record, StepRecord) and record.step == step
@@ -142,17 +142,17 @@ def painted(rows: int, columns: int) -> Flaw:
 
 
 STEP = 20
-"""The step that is changed: in the second window, which begins at 16."""
+"""The step that is changed; it is in the second window, which begins at 16."""
 
 
 def changed_window(made: list[Record], folder: Path, flaw: Flaw) -> ReplayWindow:
-    """The second window; all others are as they were."""
+    """The second window; all other windows are identical."""
     first, second, *others = windows(write(folder, flawed(made, STEP, flaw)))
     assert {window.verdict for window in (first, *others)} == {"identical"}
     return second
 
 
-def test_an_object_a_hair_off_is_within_tolerance(made: list[Record], tmp_path: Path) -> None:
+def test_an_object_with_a_small_offset_is_within_tolerance(made: list[Record], tmp_path: Path) -> None:
     window = changed_window(made, tmp_path, moved("heavy_1", 1e-6))
     assert (window.verdict, window.first_different, window.first_diverged) == ("within tolerance", STEP + 1, None)
     assert window.state_error == {"heavy_1": pytest.approx(1e-6, rel=1e-6)}
@@ -165,7 +165,7 @@ def test_an_object_elsewhere_has_diverged(made: list[Record], tmp_path: Path) ->
     assert window.state_error == {"yellow_0": pytest.approx(0.25)}
 
 
-def test_a_state_that_is_no_number_has_diverged(made: list[Record], tmp_path: Path) -> None:
+def test_a_state_of_nan_has_diverged(made: list[Record], tmp_path: Path) -> None:
     window = changed_window(made, tmp_path, moved("agent", np.nan))
     assert (window.verdict, window.state_error) == ("diverged", {"agent": np.inf})
 
@@ -192,15 +192,15 @@ def test_pixels_are_counted(made: list[Record], tmp_path: Path, rows: int, colum
 @pytest.mark.parametrize("name", ["depth", "segmentation"])
 def test_depth_and_segmentation_are_compared(made: list[Record], tmp_path: Path, name: str) -> None:
     def other(record: StepRecord) -> dict[str, Any]:
-        picture = getattr(record, name).copy()
-        picture[40:43, 20] += 1
-        return {name: picture}
+        image = getattr(record, name).copy()
+        image[40:43, 20] += 1
+        return {name: image}
 
     window = changed_window(made, tmp_path, other)
     assert (window.verdict, window.pixels, window.images) == ("within tolerance", 3, 1)
 
 
-def test_a_contact_too_many_has_diverged(made: list[Record], tmp_path: Path) -> None:
+def test_an_additional_contact_has_diverged(made: list[Record], tmp_path: Path) -> None:
     more = Contact("light_0", "light_1", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 0.5)
     window = changed_window(made, tmp_path, lambda record: {"contacts": (*record.contacts, more)})
     assert (window.verdict, window.contact_error, window.contact_steps) == ("diverged", 0.5, 1)
@@ -208,7 +208,7 @@ def test_a_contact_too_many_has_diverged(made: list[Record], tmp_path: Path) -> 
 
 
 def test_another_action_diverges_until_the_next_keyframe(made: list[Record], tmp_path: Path) -> None:
-    """Some action at some step moves the agent elsewhere; what follows in the window is off, too."""
+    """Another action moves the agent elsewhere; the following steps of the window differ, too."""
     window = changed_window(made, tmp_path, lambda record: {"action": (record.action + 3) % 8 + 1})
     assert (window.verdict, window.first_diverged) == ("diverged", STEP + 1)
     assert window.state_error["agent"] > 0.05
@@ -216,7 +216,7 @@ def test_another_action_diverges_until_the_next_keyframe(made: list[Record], tmp
 
 
 def test_a_keyframe_that_was_not_reached_is_found(made: list[Record], tmp_path: Path) -> None:
-    """Its state looks the same, but not to the bit: the window before it is not identical."""
+    """Its state differs in the last bit, so the window before it is not identical."""
     at = [i for i, record in enumerate(made) if isinstance(record, SegmentStart)][1]
     frame = made[at]
     assert isinstance(frame, SegmentStart)
@@ -262,7 +262,7 @@ def test_a_state_of_another_version_is_refused(made: list[Record], tmp_path: Pat
         windows(write(tmp_path, [made[0], other, *made[2:]]))
 
 
-def test_another_model_is_told(made: list[Record], tmp_path: Path) -> None:
+def test_another_model_is_reported(made: list[Record], tmp_path: Path) -> None:
     folder = write(tmp_path, made, head(*pool(), model="<mujoco/>"))
     assert not same_model(opened(folder))
     report = replay_report(folder, TOLERANCE)
@@ -270,7 +270,7 @@ def test_another_model_is_told(made: list[Record], tmp_path: Path) -> None:
     assert report.verdict == "identical"
 
 
-def test_a_report_names_the_worst_first(made: list[Record], tmp_path: Path) -> None:
+def test_a_report_lists_the_worst_window_first(made: list[Record], tmp_path: Path) -> None:
     hair = flawed(made, 3, moved("heavy_1", 1e-6))
     report = replay_report(write(tmp_path, flawed(hair, STEP, moved("yellow_0", 0.25))), TOLERANCE)
     assert report.verdict == "diverged"

@@ -98,7 +98,7 @@ def _target(path: Path) -> Path:
 
 
 def _no_end(file: LogFile) -> Damage | None:
-    """Whether a file without damage lacks the last switch. Raises LogError if its messages make no log."""
+    """Whether a file without damage lacks the last switch. Raises LogError if its messages do not form a log."""
     try:
         _read(log_of([file]))
     except UnfinishedError:

@@ -1,4 +1,4 @@
-"""Records of a log, made up: whoever writes or reads one has something to compare with."""
+"""A synthetic log: its records, for tests that write or read logs and compare."""
 
 from pathlib import Path
 
@@ -20,7 +20,7 @@ PLAN: list[tuple[int, int, bool, Ended]] = [
     (0, 3, False, "learned"),
     (1, 2, True, "budget"),
 ]
-"""World, steps, continued, why it ended: three segments of one stream."""
+"""World, steps, continued, reason of the end: three segments of one stream."""
 
 
 class MadeUp:
@@ -37,13 +37,13 @@ class MadeUp:
         keyframe_every=2,
     )
 
-    def records(self, seed: int = 0, *, pictures: bool = False, steps: int = 1) -> list[Record]:
-        """In their order; with depth and segmentation if `pictures`; every segment `steps` times as long."""
+    def records(self, seed: int = 0, *, all_images: bool = False, steps: int = 1) -> list[Record]:
+        """Records in order; with depth and segmentation if `all_images`; every segment is `steps` times as long."""
         rng = np.random.default_rng(seed)
         made: list[Record] = [Switch(0, -1, PLAN[0][0], "start", [np.inf] * 3)]
         step = 0
         for index, (world, length, continued, reason) in enumerate(PLAN):
-            seen, state = _seen(rng, pictures), rng.normal(size=(len(NAMES), 13))
+            seen, state = _seen(rng, all_images), rng.normal(size=(len(NAMES), 13))
             for i in range(length * steps):
                 if i % 2 == 0:
                     start = SegmentStart(index, step - i, world, POOL[world], continued, NAMES, state,
@@ -53,7 +53,7 @@ class MadeUp:
                     Contact("agent", f"yellow_{'k' * k}", (0.5, -1.25, 0.05), (0.0, 1.0, 0.0), k + 0.1)
                     for k in range(i % 4)
                 )
-                state, seen = rng.normal(size=(len(NAMES), 13)), _seen(rng, pictures)
+                state, seen = rng.normal(size=(len(NAMES), 13)), _seen(rng, all_images)
                 reward, loss, entropy, value, *parts = rng.normal(size=6).tolist()
                 metrics = StepMetrics(reward, loss, entropy, value, tuple(parts))
                 action = int(rng.integers(9))
@@ -66,7 +66,7 @@ class MadeUp:
         return made
 
     def write(self, folder: Path, records: list[Record] | None = None, *, roll_bytes: int = 2**28) -> list[Path]:
-        """Write the records to a fresh log; the files of it. A chunk ends at every switch."""
+        """Write the records to a new log and return its files. A chunk ends at every switch."""
         with LogWriter(folder, self.head, roll_bytes=roll_bytes) as writer:
             for record in self.records() if records is None else records:
                 self.put(writer, record)
@@ -85,10 +85,10 @@ class MadeUp:
             writer.flush()
 
 
-def _seen(rng: np.random.Generator, pictures: bool) -> dict[str, np.ndarray]:
+def _seen(rng: np.random.Generator, all_images: bool) -> dict[str, np.ndarray]:
     image = np.full((84, 84, 3), 90, np.uint8)
     image[20:30, 40:50] = rng.integers(0, 256, (10, 10, 3))
-    if not pictures:
+    if not all_images:
         return {"image": image}
     depth = np.full((84, 84), np.inf, np.float32)
     depth[20:30, 40:50] = rng.uniform(1, 5, (10, 10))

@@ -1,4 +1,4 @@
-"""The conformance pair: a log and what is in it, read alike by everybody who reads logs."""
+"""The conformance pair: a log and a list of its contents, which every reader must find."""
 
 import json
 import runpy
@@ -36,7 +36,7 @@ def test_it_has_a_message_of_every_kind_and_is_small(said: dict[str, Any]) -> No
 
 
 def test_it_is_what_is_written_today(make: dict[str, Any], tmp_path: Path) -> None:
-    """Another byte here is another version of the format: say so in `FORMAT` and the documents, then make it anew."""
+    """Another byte means another version of the format: change `FORMAT` and the documents, then make the pair again."""
     assert make["write"](tmp_path).read_bytes() == (PAIR / "small.mcap").read_bytes()
 
 
@@ -76,8 +76,8 @@ def test_our_reader_reads_it(said: dict[str, Any]) -> None:
         np.testing.assert_array_equal(segment.world_model_loss, losses)
 
 
-def test_rerun_shows_its_pictures_plots_and_events(tmp_path: Path) -> None:
-    """The pinned viewer opens a log as it is."""
+def test_rerun_shows_its_images_plots_and_events(tmp_path: Path) -> None:
+    """The pinned viewer opens a log directly."""
     from rerun.chunk import RrdReader
 
     program = str(Path(sys.executable).with_name("rerun"))
@@ -93,12 +93,12 @@ def test_rerun_shows_its_pictures_plots_and_events(tmp_path: Path) -> None:
     (last,) = [segment for segment in open_log(PAIR / "small.mcap").segments() if segment.ended == "budget"]
     assert last.depth is not None
     assert last.segmentation is not None
-    for place, kind, picture in (
+    for place, kind, image in (
         ("/observation/image", "Image", last.images[-1]),
         ("/observation/depth", "DepthImage", last.depth[-1]),
         ("/observation/segmentation", "DepthImage", last.segmentation[-1]),
     ):
-        assert bytes(column(place, f"{kind}:buffer")[-1][0]) == picture.tobytes()
+        assert bytes(column(place, f"{kind}:buffer")[-1][0]) == image.tobytes()
     assert column("/metrics/position", "SeriesLines:names")[-1] == [
         "intrinsic_reward", "world_model_loss", "policy_entropy", "value", "intrinsic_reward/forward",
         "intrinsic_reward/inverse",

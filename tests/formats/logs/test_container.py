@@ -1,4 +1,4 @@
-"""Files that are cut off, changed, foreign or hostile are found out before anything in them is believed."""
+"""Files that are cut off, changed, foreign or hostile are detected before their contents are used."""
 
 import struct
 import zlib
@@ -42,7 +42,7 @@ def rewritten(
     messages: Iterable[LogMessage] | None = None,
     twice: str = "",
 ) -> Path:
-    """The log written anew by the MCAP package, all CRCs right, with something in it changed."""
+    """Write the log again with the MCAP package: all CRCs are right, and one thing is changed."""
     contents = read_contents(whole)
     files = {**contents.attachments, **(attachments or {})}
     with out.open("wb") as file:
@@ -67,7 +67,7 @@ def rewritten(
 
 
 def test_a_log_written_by_the_mcap_package_is_read(whole: Path, tmp_path: Path) -> None:
-    """So that what the tests below change is all that is wrong."""
+    """So the only faults in the tests below are those that they make."""
     log = open_log(rewritten(whole, tmp_path / "x.mcap"))
     assert [len(segment.actions) for segment in log.segments()] == [4, 3, 2]
 
@@ -94,15 +94,15 @@ def test_a_changed_byte_anywhere_is_found(whole: Path, tmp_path: Path, data: st.
 
 
 def test_a_cut_names_the_last_whole_step(whole: Path, tmp_path: Path) -> None:
-    places = read_contents(whole).chunks  # the start, then one chunk a segment
+    places = read_contents(whole).chunks  # the start, then one chunk per segment
     path = tmp_path / "cut.mcap"
     path.write_bytes(whole.read_bytes()[: places[2].offset + 20])
     with pytest.raises(LogError, match=f"byte {places[2].offset}: .*the last whole step is 3;"):
         open_log(path)
 
 
-def test_a_changed_chunk_is_named_though_the_file_goes_on_after_it(whole: Path, tmp_path: Path) -> None:
-    """The CRC of the whole data section only says that there is something wrong."""
+def test_a_changed_chunk_is_named_although_the_file_continues_after_it(whole: Path, tmp_path: Path) -> None:
+    """The CRC of the whole data section does not say where the damage is."""
     raw, place = bytearray(whole.read_bytes()), read_contents(whole).chunks[2]
     raw[place.offset + 200] ^= 1
     path = tmp_path / "changed.mcap"
@@ -111,8 +111,8 @@ def test_a_changed_chunk_is_named_though_the_file_goes_on_after_it(whole: Path, 
         open_log(path)
 
 
-def test_a_chunk_that_is_no_chunk_any_more_is_missed(whole: Path, tmp_path: Path) -> None:
-    """Readers are to pass over records of unknown kinds, so its messages would be gone without a trace."""
+def test_a_chunk_with_another_opcode_is_noticed(whole: Path, tmp_path: Path) -> None:
+    """Readers must skip records with unknown opcodes, so its messages would be lost silently."""
     raw, places = bytearray(whole.read_bytes()), read_contents(whole).chunks
     raw[places[1].offset] = 0x70
     path = tmp_path / "changed.mcap"
@@ -162,7 +162,7 @@ def test_another_version_is_refused_before_the_rest_is_read(whole: Path, tmp_pat
 
 @pytest.mark.parametrize("name", ["../../.bashrc", "/etc/passwd", "more.json"])
 def test_other_attachments_are_refused(whole: Path, tmp_path: Path, name: str) -> None:
-    """Attachments are never written anywhere; one that asks for it is no log of ours."""
+    """Attachments are never written to disk; a log with such a name is not ours."""
     path = rewritten(whole, tmp_path / "x.mcap", attachments={name: b"x"})
     with pytest.raises(LogError, match=rf"expected the attachments .*, got .*{name}"):
         open_log(path)
@@ -203,10 +203,10 @@ DEEP = b"[" * 200_000 + b"]" * 200_000
         ("puzzles.json", b'[{"task":' + DEEP + b"}]"),
     ],
 )
-def test_brackets_without_end_are_refused(
+def test_deep_nesting_is_refused(
     whole: Path, tmp_path: Path, name: str, data: bytes, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By every reader."""
+    """Every reader refuses it."""
     path = rewritten(whole, tmp_path / "x.mcap", attachments={name: data})
     with pytest.raises(LogError, match=r"x\.mcap: not a log .*: JSON in it is nested too deeply; refused"):
         open_log(path)
@@ -250,14 +250,16 @@ def test_a_missing_channel_is_refused(whole: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("following", [{"part": "2"}, {"part": "../x"}, {}])
-def test_a_file_that_goes_on_elsewhere_is_refused(whole: Path, tmp_path: Path, following: dict[str, str]) -> None:
+def test_a_file_that_continues_in_another_part_than_the_next_is_refused(
+    whole: Path, tmp_path: Path, following: dict[str, str]
+) -> None:
     path = rewritten(whole, tmp_path / "x.mcap", metadata={log_schemas.CONTINUES: following})
     with pytest.raises(LogError, match=r"part 0 goes on in .*, expected part 1"):
         open_log(path)
 
 
-def test_an_index_that_hides_steps_is_found_out(whole: Path, tmp_path: Path) -> None:
-    """It counts them of a channel that there is not, with the CRC of the whole data section made right again."""
+def test_an_index_that_hides_steps_is_detected(whole: Path, tmp_path: Path) -> None:
+    """It counts them for a channel that does not exist; the CRC of the whole data section is right."""
     raw, offset = bytearray(whole.read_bytes()), 8
     steps = next(number for number, topic in read_contents(whole).topics.items() if topic == log_schemas.STEP)
     while raw[offset] != Opcode.DATA_END:
@@ -302,14 +304,14 @@ def test_attachments_beyond_the_limit_are_refused(whole: Path, tmp_path: Path, m
 
 
 def test_a_chunk_that_lies_about_its_size_is_refused(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The packed frame's own size is held to the chunk's, so a frame cannot unpack to more than was allowed for."""
+    """The size in the zstd frame must equal the chunk's, so a frame cannot unpack to more than is allowed."""
     monkeypatch.setattr(zstandard, "frame_content_size", lambda _: 10**12)
     with pytest.raises(LogError, match=r"a chunk is not packed as its header says"):
         open_log(whole)
 
 
 def chunk_of(raw: bytes) -> bytes:
-    """An MCAP file of one chunk with these bytes, all CRCs right."""
+    """An MCAP file of one chunk with these bytes; all CRCs are right."""
     packed = zstandard.compress(raw)
     chunk = (
         struct.pack("<QQQI", 0, 0, len(raw), zlib.crc32(raw)) + struct.pack("<I4sQ", 4, b"zstd", len(packed)) + packed
@@ -355,7 +357,7 @@ def test_messages_outside_of_chunks_are_refused(tmp_path: Path) -> None:
 @settings(max_examples=100, suppress_health_check=FIXTURES)
 @given(st.data())
 def test_nonsense_in_messages_is_a_log_error_if_anything(whole: Path, tmp_path: Path, data: st.DataObject) -> None:
-    """Bytes of a message are changed and every CRC made right again, as someone with bad intent would."""
+    """Bytes of a message are changed and every CRC is right, as in a malicious file."""
     messages = [message for chunk in whole_chunks(whole) for message in chunk]
     victim = data.draw(st.sampled_from([i for i, message in enumerate(messages) if "image" not in message.topic]))
     raw = bytearray(messages[victim].data)

@@ -1,4 +1,4 @@
-"""What `log info` and its sisters say, held against the records that were written."""
+"""The output of the `log` commands, compared with the records that were written."""
 
 import re
 import shutil
@@ -57,7 +57,7 @@ def test_counts_are_those_of_the_records(made_up: Any, whole: Path) -> None:
     assert (info.health, info.first_world, info.head) == ("whole", 1, made_up.head)
 
 
-def test_files_and_streams_are_summed_up(whole: Path) -> None:
+def test_files_and_streams_are_summarised(whole: Path) -> None:
     size = whole.stat().st_size
     assert cells(whole, 0) == [["stream-002-000.mcap", "27", "1 s", f"{size:,}", f"{size / 27:,.0f}", "whole"]]
     assert cells(whole, 1) == [
@@ -68,8 +68,8 @@ def test_files_and_streams_are_summed_up(whole: Path) -> None:
     assert info_tables(whole)[0].title == "gym-open-log/2, written by 0.1.0+abc, seed 7"
 
 
-def test_parts_are_summed_up(whole: Path, parts: list[Path], tmp_path: Path) -> None:
-    """The parts hold together what one file would, but for where a segment was gone on with."""
+def test_parts_are_summarised(whole: Path, parts: list[Path], tmp_path: Path) -> None:
+    """Together, the parts hold what one file would hold."""
     assert [row[0] for row in cells(tmp_path, 0)] == [path.name for path in parts]
     assert [row[-1] for row in cells(tmp_path, 0)] == ["whole, goes on", "whole, goes on", "whole"]
     (one,), (other,) = cells(tmp_path, 1), cells(whole, 1)
@@ -83,7 +83,7 @@ def test_a_part_alone_says_in_which_world_it_begins(parts: list[Path]) -> None:
     assert info.part == 2
 
 
-def test_of_a_damaged_file_what_is_before_the_damage_is_counted(whole: Path, tmp_path: Path) -> None:
+def test_messages_before_the_damage_are_counted(whole: Path, tmp_path: Path) -> None:
     place = read_contents(whole).chunks[2]  # the start, a segment, a segment, …
     path = tmp_path / whole.name
     path.write_bytes(whole.read_bytes()[: place.offset + 10])
@@ -140,8 +140,10 @@ def test_the_commands_say_what_to_do_next(whole: Path, tmp_path: Path, capsys: p
 HOSTILE = "[/nope]\x1b]0;gone\x07:x:\u202e"
 
 
-def test_text_from_a_log_is_only_shown(made_up: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """It is no markup, and nothing in it gets to the terminal that would steer it."""
+def test_text_from_a_log_is_shown_without_effect(
+    made_up: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is not read as markup, and its control characters do not reach the terminal."""
     stranger = type(made_up)()
     stranger.head = msgspec.structs.replace(made_up.head, provenance={"code": HOSTILE, "seed": HOSTILE})
     made = [

@@ -1,4 +1,4 @@
-"""The container against the mcap package: its writer makes the same bytes, its reader reads them."""
+"""The container compared with the mcap package: its writer makes the same bytes, and its reader reads them."""
 
 from io import BytesIO
 from pathlib import Path
@@ -67,7 +67,7 @@ def test_large_chunks_end_where_those_of_the_mcap_package_do(monkeypatch: Any) -
 
 
 def test_the_mcap_package_reads_a_log(made_up: Any, tmp_path: Path) -> None:
-    """Its seeking reader with its ROS 2 decoder, CRCs on."""
+    """With its seeking reader, its ROS 2 decoder and CRC checks."""
     (path,) = made_up.write(tmp_path)
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])

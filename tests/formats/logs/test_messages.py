@@ -1,4 +1,4 @@
-"""Messages against another library's: mcap-ros2-support encodes them one number at a time, from the definition."""
+"""Messages compared with those of mcap-ros2-support, which encodes them number by number from the definition."""
 
 from typing import Any
 
@@ -31,7 +31,7 @@ def plain(value: Any) -> Any:
     return [plain(item) for item in value] if isinstance(value, (list, tuple)) else value
 
 
-def picture(topic: str, pixels: np.ndarray, encoding: str, nanoseconds: int) -> bytes:
+def image_message(topic: str, pixels: np.ndarray, encoding: str, nanoseconds: int) -> bytes:
     row = pixels.nbytes // 84
     return foreign(
         topic,
@@ -46,7 +46,7 @@ def header(nanoseconds: int) -> dict[str, Any]:
     return {"stamp": {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}, "frame_id": "camera"}
 
 
-def pictures(record: SegmentStart | StepRecord, time: int) -> list[tuple[str, int, bytes]]:
+def image_messages(record: SegmentStart | StepRecord, time: int) -> list[tuple[str, int, bytes]]:
     assert record.depth is not None
     assert record.segmentation is not None
     seen = [
@@ -54,7 +54,7 @@ def pictures(record: SegmentStart | StepRecord, time: int) -> list[tuple[str, in
         (schemas.DEPTH, record.depth, "32FC1"),
         (schemas.SEGMENTATION, record.segmentation, "32SC1"),
     ]
-    return [(topic, time, picture(topic, pixels, encoding, time)) for topic, pixels, encoding in seen]
+    return [(topic, time, image_message(topic, pixels, encoding, time)) for topic, pixels, encoding in seen]
 
 
 def step_fields(record: StepRecord) -> dict[str, Any]:
@@ -62,11 +62,11 @@ def step_fields(record: StepRecord) -> dict[str, Any]:
 
 
 def expected(record: Record) -> list[tuple[str, int, bytes]]:
-    """Topic, time and bytes of the messages of a record, by the ROS 2 library."""
+    """Topic, time and bytes of the messages of a record, made by the ROS 2 library."""
     if isinstance(record, SegmentStart):
         time = 40_000_000 * (record.first_step + record.segment_step)
         fields = {**plain(record), "segment": record.index, "puzzle_digest": record.puzzle.digest}
-        return [(schemas.SEGMENT, time, foreign(schemas.SEGMENT, fields)), *pictures(record, time)]
+        return [(schemas.SEGMENT, time, foreign(schemas.SEGMENT, fields)), *image_messages(record, time)]
     time = 40_000_000 * record.step
     if isinstance(record, StepRecord):
         own = record.metrics
@@ -80,7 +80,7 @@ def expected(record: Record) -> list[tuple[str, int, bytes]]:
         return [
             (schemas.STEP, time, foreign(schemas.STEP, step_fields(record))),
             (schemas.METRICS, time, foreign(schemas.METRICS, metrics)),
-            *pictures(record, time + 40_000_000),
+            *image_messages(record, time + 40_000_000),
         ]
     if isinstance(record, Switch):
         topic, words = schemas.SWITCH, f"world {record.from_world} -> {record.to_world} ({record.reason})"
@@ -92,7 +92,7 @@ def expected(record: Record) -> list[tuple[str, int, bytes]]:
 
 
 def test_messages_are_those_of_the_ros2_library(made_up: Any) -> None:
-    records = made_up.records(pictures=True)
+    records = made_up.records(all_images=True)
     assert {type(record) for record in records} == {SegmentStart, StepRecord, Switch, Stuck}
     made = [message for record in records for message in messages.messages_of(record, PARTS)]
     assert {message.topic for message in made} == set(schemas.DEFINITIONS)
@@ -110,7 +110,7 @@ CONTACTS = st.builds(
 def test_any_step_is_that_of_the_ros2_library_and_comes_back(
     contacts: list[Contact], parts: list[float], objects: int, step: int
 ) -> None:
-    """Names of any length: what follows them has to be aligned."""
+    """Names of any length, because the numbers after them must be aligned."""
     state = np.arange(13.0 * objects).reshape(objects, 13)
     image = np.zeros((84, 84, 3), np.uint8)
     metrics = StepMetrics(0.1, np.inf, 2.2, -1.0, tuple(parts))
@@ -121,8 +121,8 @@ def test_any_step_is_that_of_the_ros2_library_and_comes_back(
 
 
 def test_records_come_back_from_their_messages(made_up: Any) -> None:
-    """Bit for bit, the numbers that are no numbers as well."""
-    for record in made_up.records(pictures=True):
+    """To the bit, including NaN."""
+    for record in made_up.records(all_images=True):
         first, *rest = messages.messages_of(record, PARTS)
         seen = [messages.decode_image(one.topic, one.data) for one in rest if one.topic in messages.PIXELS]
         match record:
@@ -137,18 +137,18 @@ def test_records_come_back_from_their_messages(made_up: Any) -> None:
         assert plain(again) == plain(record)
 
 
-def test_a_loss_that_is_no_number_comes_back() -> None:
+def test_a_loss_of_nan_comes_back() -> None:
     switch = messages.decode_switch(messages.encode_switch(Switch(1, 0, 1, "interval", [np.nan, np.inf, 0.5])))
     np.testing.assert_array_equal(switch.world_losses, [np.nan, np.inf, 0.5])
 
 
-@pytest.mark.parametrize("picture", [np.zeros((4, 4, 3), np.uint8), np.zeros((84, 84, 3))])
-def test_a_picture_of_another_size_or_type_is_not_written(picture: np.ndarray) -> None:
+@pytest.mark.parametrize("image", [np.zeros((4, 4, 3), np.uint8), np.zeros((84, 84, 3))])
+def test_an_image_of_another_size_or_type_is_not_written(image: np.ndarray) -> None:
     with pytest.raises(ValueError, match=r"/observation/image: expected an image of uint8 \(84, 84, 3\), got .*\d\)$"):
-        messages.encode_image(schemas.IMAGE, picture, 0)
+        messages.encode_image(schemas.IMAGE, image, 0)
 
 
-def test_a_picture_of_another_size_or_kind_is_refused() -> None:
+def test_an_image_of_another_size_or_kind_is_refused() -> None:
     depth = messages.encode_image(schemas.DEPTH, np.zeros((84, 84), np.float32), 0)
     with pytest.raises(ValueError, match="/observation/segmentation: expected a 84x84 32SC1 image, got 84x84 32FC1"):
         messages.decode_image(schemas.SEGMENTATION, depth)

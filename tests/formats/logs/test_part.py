@@ -1,4 +1,4 @@
-"""Reading part of a log: steps that were asked for, and what is whole of a damaged one."""
+"""Reading part of a log: requested steps, and the undamaged beginning of a damaged log."""
 
 import struct
 from collections.abc import Iterator
@@ -24,7 +24,7 @@ def chunked(made_up: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One file of 27 steps with a chunk every 5 records."""
     folder = tmp_path_factory.mktemp("log")
     with LogWriter(folder, made_up.head) as log:
-        for number, record in enumerate(made_up.records(pictures=True, steps=3)):
+        for number, record in enumerate(made_up.records(all_images=True, steps=3)):
             {SegmentStart: log.segment, StepRecord: log.step, Switch: log.switch, Stuck: log.stuck}[type(record)](
                 record
             )
@@ -47,7 +47,7 @@ def by_step(pieces: Iterator[Segment]) -> dict[int, tuple[Any, ...]]:
 
 @pytest.mark.parametrize("max_steps", [None, 2])
 @pytest.mark.parametrize("steps", [range(1), range(11, 12), range(5, 13), range(12, 21), range(20, 99), range(27)])
-def test_only_steps_that_were_asked_for_are_read(chunked: Path, steps: range, max_steps: int | None) -> None:
+def test_only_requested_steps_are_read(chunked: Path, steps: range, max_steps: int | None) -> None:
     log = open_log(chunked)
     every = by_step(log.segments())
     found = by_step(log.segments(max_steps, steps))
@@ -87,7 +87,7 @@ def test_steps_of_a_later_part_do_not_open_the_ones_before(
 
 @pytest.mark.parametrize("share", [0.35, 0.5, 0.8, 0.97])
 def test_a_log_that_is_cut_off_is_read_up_to_there(chunked: Path, share: float, tmp_path: Path) -> None:
-    """`log repair` finds by its own walk what is whole."""
+    """`log repair` finds the undamaged beginning in another way."""
     cut = tmp_path / "stream-002-000.mcap"
     raw = chunked.read_bytes()
     cut.write_bytes(raw[: int(share * len(raw))])
@@ -116,14 +116,14 @@ def test_changed_bytes_end_a_log_before_them(chunked: Path, tmp_path: Path) -> N
 
 
 def end_of_chunk(raw: bytes, offset: int) -> int:
-    """Byte behind the record at this one; the index of a chunk follows."""
+    """Offset of the first byte after the record at `offset`; the index of a chunk follows there."""
     return offset + 9 + struct.unpack_from("<Q", raw, offset + 1)[0]
 
 
-def test_a_step_that_was_torn_is_not_read(made_up: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Chunks end between the messages of a step, too; and a cut may leave the chunk, but not the index behind it."""
+def test_an_incomplete_step_is_not_read(made_up: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Chunks also end between the messages of a step, and a cut may leave a chunk without its index."""
     monkeypatch.setattr(log_mcap, "CHUNK_BYTES", 110_000)
-    records = made_up.records(pictures=True, steps=2)
+    records = made_up.records(all_images=True, steps=2)
     (path,) = made_up.write(tmp_path, records)
     raw, every, places = path.read_bytes(), by_step(open_log(path).segments()), read_contents(path).chunks
     ends = np.cumsum([len(list(messages_of(record, made_up.head.reward_parts))) for record in records])
@@ -143,8 +143,8 @@ def test_a_step_that_was_torn_is_not_read(made_up: Any, tmp_path: Path, monkeypa
     assert torn > 3
 
 
-def test_a_damaged_index_of_a_chunk_is_not_believed(chunked: Path, tmp_path: Path) -> None:
-    """Of all checksums only that of the whole file tells of it; the messages are whole."""
+def test_a_damaged_index_of_a_chunk_is_not_used(chunked: Path, tmp_path: Path) -> None:
+    """Only the checksum of the whole file shows the damage; the messages are undamaged."""
     raw, log, places = chunked.read_bytes(), open_log(chunked), read_contents(chunked).chunks
     changed, at, tried = tmp_path / "stream-002-000.mcap", end_of_chunk(raw, places[3].offset), 0
     while raw[at] == Opcode.MESSAGE_INDEX:
@@ -173,11 +173,11 @@ def test_what_comes_before_a_missing_part_is_read(made_up: Any, tmp_path: Path) 
     assert found == {step: every[step] for step in range(before.n_steps)}
     last = open_whole_part(parts[:2])
     assert last.damage == f"{parts[2].name}, in which it continues, is missing"
-    assert open_whole_part([parts[2]]).damage is None  # one part alone is looked at as such
+    assert open_whole_part([parts[2]]).damage is None  # a single part needs no other part
 
 
 def test_a_part_of_another_run_is_not_read(made_up: Any, tmp_path: Path) -> None:
-    """Though it has the right number."""
+    """Although it has the right number."""
     stranger = type(made_up)()
     stranger.head = msgspec.structs.replace(made_up.head, provenance={"code": "other"})
     for folder in (tmp_path / "own", tmp_path / "other"):
@@ -196,7 +196,7 @@ def test_a_log_without_its_end_says_so(made_up: Any, tmp_path: Path) -> None:
     assert len(by_step(log.segments())) == log.n_steps == 27
 
 
-def test_nothing_whole_is_refused(chunked: Path, tmp_path: Path) -> None:
+def test_a_log_without_an_undamaged_beginning_is_refused(chunked: Path, tmp_path: Path) -> None:
     cut = tmp_path / "stream-002-000.mcap"
     cut.write_bytes(chunked.read_bytes()[:500])
     with pytest.raises(LogError, match="no step before it is whole"):

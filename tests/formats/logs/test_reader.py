@@ -1,4 +1,4 @@
-"""Reading logs: what was written comes back, in pieces of any length, and what does not belong together is refused."""
+"""Reading logs: the reader returns what was written, in pieces of any length, and refuses parts of other logs."""
 
 import shutil
 import tracemalloc
@@ -33,23 +33,23 @@ SEEN = ("images", "depth", "segmentation", "object_state")
 @pytest.fixture(scope="module")
 def whole(made_up: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One file."""
-    return made_up.write(tmp_path_factory.mktemp("log"), made_up.records(pictures=True, steps=3))[0]
+    return made_up.write(tmp_path_factory.mktemp("log"), made_up.records(all_images=True, steps=3))[0]
 
 
 @pytest.fixture(scope="module")
 def rolled(made_up: Any, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """The same in a file a keyframe, or nearly so."""
-    parts = made_up.write(tmp_path_factory.mktemp("log"), made_up.records(pictures=True, steps=3), roll_bytes=1)
+    """The same with about one file per keyframe."""
+    parts = made_up.write(tmp_path_factory.mktemp("log"), made_up.records(all_images=True, steps=3), roll_bytes=1)
     assert len(parts) > 5
     return parts
 
 
-def picture(record: SegmentStart | StepRecord, name: str) -> Any:
+def pixels(record: SegmentStart | StepRecord, name: str) -> Any:
     return getattr(record, {"images": "image"}.get(name, name))
 
 
 def test_head_comes_back(made_up: Any, whole: Path) -> None:
-    log, head, made = open_log(whole), made_up.head, made_up.records(pictures=True, steps=3)
+    log, head, made = open_log(whole), made_up.head, made_up.records(all_images=True, steps=3)
     assert (log.stream, log.config, log.puzzles, log.provenance) == (2, head.config, head.puzzles, head.provenance)
     assert (log.model_xml, log.reward_parts, log.keyframe_every) == ("<mujoco/>", ("forward", "inverse"), 2)
     assert log.n_steps == 27
@@ -58,7 +58,7 @@ def test_head_comes_back(made_up: Any, whole: Path) -> None:
 
 
 def test_segments_come_back_bit_for_bit(made_up: Any, whole: Path) -> None:
-    made = made_up.records(pictures=True, steps=3)
+    made = made_up.records(all_images=True, steps=3)
     found = list(open_log(whole).segments())
     plan = [(world, 3 * length, continued, ended) for world, length, continued, ended in made_up.plan]
     assert [(one.world, len(one.actions), one.continued, one.ended) for one in found] == plan
@@ -68,7 +68,7 @@ def test_segments_come_back_bit_for_bit(made_up: Any, whole: Path) -> None:
         assert (segment.stream, segment.first_step, segment.segment_step) == (2, frames[0].first_step, 0)
         assert (segment.puzzle, segment.object_names) == (frames[0].puzzle, made_up.names)
         for name in SEEN:
-            expected = [picture(record, name) for record in (frames[0], *steps)]
+            expected = [pixels(record, name) for record in (frames[0], *steps)]
             np.testing.assert_array_equal(getattr(segment, name), expected)
         assert segment.contacts == [step.contacts for step in steps]
         assert segment.actions.tolist() == [step.action for step in steps]
@@ -128,8 +128,8 @@ def assert_pieces_of(whole: Segment, pieces: list[Segment], max_steps: int) -> N
 
 @settings(max_examples=14)
 @given(max_steps=st.integers(1, 14), parts=st.booleans())
-def test_pieces_make_up_the_segments(whole: Path, rolled: list[Path], max_steps: int, parts: bool) -> None:
-    """Whatever their length, from one file or from many."""
+def test_pieces_form_the_segments(whole: Path, rolled: list[Path], max_steps: int, parts: bool) -> None:
+    """Pieces of any length, from one file or from many."""
     log = open_log(rolled if parts else whole)
     pieces = list(log.segments(max_steps))
     for segment in open_log(whole).segments():
@@ -137,7 +137,7 @@ def test_pieces_make_up_the_segments(whole: Path, rolled: list[Path], max_steps:
 
 
 def test_a_part_alone_can_be_read(whole: Path, rolled: list[Path]) -> None:
-    """Each begins with a keyframe, and together they hold every step once."""
+    """Each part begins with a keyframe, and together they hold every step once."""
     everything = {segment.index: segment for segment in open_log(whole).segments()}
     steps: list[int] = []
     for path in rolled:
@@ -152,13 +152,13 @@ def test_a_part_alone_can_be_read(whole: Path, rolled: list[Path]) -> None:
     assert steps == list(range(27))
 
 
-def test_a_segment_that_goes_on_in_another_file_has_no_end(rolled: list[Path]) -> None:
+def test_a_segment_that_continues_in_another_file_has_no_end(rolled: list[Path]) -> None:
     *_, last = open_log(rolled[1]).segments()
     assert last.ended is None
 
 
-def test_reading_takes_the_memory_of_a_piece(made_up: Any, tmp_path: Path) -> None:
-    """Of a segment of 17 MB, a chunk and a piece are held at a time."""
+def test_reading_needs_memory_for_one_piece(made_up: Any, tmp_path: Path) -> None:
+    """The segment has 17 MB; one chunk and one piece of it are in memory."""
     log = open_log(made_up.write(tmp_path, made_up.records(steps=200)))
     tracemalloc.start()
     try:
@@ -208,7 +208,7 @@ def test_a_part_that_is_there_twice_is_refused(copied: list[Path], tmp_path: Pat
         open_logs(tmp_path)
 
 
-def test_a_part_too_many_is_refused(copied: list[Path], tmp_path: Path) -> None:
+def test_an_additional_part_is_refused(copied: list[Path], tmp_path: Path) -> None:
     more = tmp_path / log_name(2, len(copied))
     shutil.copy(copied[-1], more)
     with pytest.raises(LogError, match=r"the stream ends in it, so .* is not a part of it"):
@@ -220,16 +220,16 @@ def test_a_part_of_another_run_is_refused(made_up: Any, copied: list[Path], tmp_
     stranger = type(made_up)()
     stranger.head = other
     (tmp_path / "other").mkdir()
-    parts = stranger.write(tmp_path / "other", made_up.records(pictures=True, steps=3), roll_bytes=1)
+    parts = stranger.write(tmp_path / "other", made_up.records(all_images=True, steps=3), roll_bytes=1)
     shutil.copy(parts[1], copied[1])
     with pytest.raises(LogError, match=r"001\.mcap: of another run or stream than .*000\.mcap"):
         open_logs(tmp_path)
 
 
 def test_a_part_of_another_run_with_the_same_head_is_refused(made_up: Any, copied: list[Path], tmp_path: Path) -> None:
-    """Its keyframe is not the state in which the part before it ended."""
+    """Its keyframe differs from the state at the end of the part before it."""
     (tmp_path / "other").mkdir()
-    parts = made_up.write(tmp_path / "other", made_up.records(seed=1, pictures=True, steps=3), roll_bytes=1)
+    parts = made_up.write(tmp_path / "other", made_up.records(seed=1, all_images=True, steps=3), roll_bytes=1)
     shutil.copy(parts[2], copied[2])
     with pytest.raises(LogError, match="the keyframe before step 2 is not the state there"):
         list(open_logs(tmp_path)[0].segments())
@@ -257,7 +257,7 @@ def test_repair_is_named_only_where_it_can_save_something(made_up: Any, copied: 
 
 Change = dict[str, Any]
 Flaw = tuple[type, int, Change | None]
-"""The `n`-th record of a kind is changed, or left out."""
+"""The `n`-th record of a type is changed, or left out."""
 
 
 def flawed(made: list[Record], flaw: Flaw) -> list[Record]:
@@ -305,14 +305,14 @@ def test_records_out_of_place_are_refused(made_up: Any, tmp_path: Path, flaw: Fl
     assert str(path) in str(caught.value)
 
 
-def test_a_depth_that_comes_and_goes_is_refused(made_up: Any, tmp_path: Path) -> None:
-    made = flawed(made_up.records(pictures=True), (StepRecord, 0, {"depth": None}))
+def test_a_segment_with_depth_in_some_observations_is_refused(made_up: Any, tmp_path: Path) -> None:
+    made = flawed(made_up.records(all_images=True), (StepRecord, 0, {"depth": None}))
     log = open_log(made_up.write(tmp_path, made))
     with pytest.raises(LogError, match="1 of 5 observations of a segment have no depth"):
         list(log.segments())
 
 
-def test_what_is_open_is_read_in_the_order_of_play(whole: Path, rolled: list[Path]) -> None:
+def test_an_open_log_is_read_in_the_order_of_recording(whole: Path, rolled: list[Path]) -> None:
     for log in (open_log(whole), open_log(rolled)):
         assert isinstance(log, Log)
         steps = [piece.first_step for piece in log.segments(1)]

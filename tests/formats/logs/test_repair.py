@@ -1,4 +1,4 @@
-"""What is whole of a damaged log is saved, nothing else is, and it is said what is missing."""
+"""Repair saves the undamaged records of a log and nothing else, and says what is missing."""
 
 import io
 import shutil
@@ -31,23 +31,23 @@ FIXTURES = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
 
 @pytest.fixture(scope="module")
 def whole(made_up: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """27 steps in one file whose chunks end anywhere, between the messages of one step too."""
+    """27 steps in one file whose chunks end anywhere, also between the messages of a step."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(log_mcap, "CHUNK_BYTES", 110_000)
-        return made_up.write(tmp_path_factory.mktemp("log"), made_up.records(pictures=True, steps=3))[0]
+        return made_up.write(tmp_path_factory.mktemp("log"), made_up.records(all_images=True, steps=3))[0]
 
 
 @pytest.fixture(scope="module")
 def rolled(made_up: Any, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """The same in some files of some chunks."""
+    """The same in several files of several chunks."""
     folder = tmp_path_factory.mktemp("log")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(log_mcap, "CHUNK_BYTES", 400_000)
-        return made_up.write(folder, made_up.records(pictures=True, steps=3), roll_bytes=6000)
+        return made_up.write(folder, made_up.records(all_images=True, steps=3), roll_bytes=6000)
 
 
 def steps_by_the_mcap_package(raw: bytes) -> int:
-    """Steps of which every message is in a whole chunk of a file that is cut off."""
+    """Number of steps whose messages are all in complete chunks of a file that is cut off."""
     topics: list[str] = []
     channels: dict[int, str] = {}
     try:
@@ -73,7 +73,7 @@ def damaged(folder: Path, raw: bytes, name: str = "stream-002-000.mcap") -> Path
 
 
 def assert_beginning(found: list[Segment], expected: list[Segment]) -> None:
-    """Segments are those expected, but for what the last one lacks at its end."""
+    """The segments are the expected ones; the last one may lack its end."""
     assert len(found) <= len(expected)
     for i, (one, other) in enumerate(zip(found, expected, strict=False)):
         n = len(one.actions)
@@ -120,8 +120,10 @@ def test_a_log_cut_anywhere_is_saved_up_to_its_last_whole_step(
 
 @settings(max_examples=40, suppress_health_check=FIXTURES)
 @given(st.data())
-def test_of_a_log_with_a_changed_byte_nothing_wrong_is_saved(whole: Path, tmp_path: Path, data: st.DataObject) -> None:
-    """And all that lies before it is."""
+def test_nothing_wrong_is_saved_from_a_log_with_a_changed_byte(
+    whole: Path, tmp_path: Path, data: st.DataObject
+) -> None:
+    """And everything before that byte is saved."""
     raw = bytearray(whole.read_bytes())
     at = data.draw(st.integers(read_contents(whole).chunks[1].offset, len(raw) - 1))
     before = steps_by_the_mcap_package(bytes(raw[:at]))
@@ -149,16 +151,18 @@ def test_a_repaired_last_part_takes_its_place(rolled: list[Path], tmp_path: Path
     assert found[-1].ended == "cut"
     assert_beginning(found, list(open_log(rolled).segments()))
     assert made.last_step == log.n_steps - 1
-    assert numbers(made.saved)[:-2] == numbers(rolled[number])[: len(numbers(made.saved)) - 2]  # but for the cut
+    assert (
+        numbers(made.saved)[:-2] == numbers(rolled[number])[: len(numbers(made.saved)) - 2]
+    )  # except those of the cut
 
 
 def numbers(path: Path) -> list[int]:
-    """Of the messages: they go on from part to part."""
+    """Sequence numbers of the messages, which continue from part to part."""
     with path.open("rb") as file:
         return [message.sequence for _, _, message in make_reader(file).iter_messages(log_time_order=False)]
 
 
-def test_a_part_whose_index_alone_is_lost_goes_on_as_before(rolled: list[Path], tmp_path: Path) -> None:
+def test_a_part_that_lost_only_its_index_continues_as_before(rolled: list[Path], tmp_path: Path) -> None:
     path = damaged(tmp_path, rolled[1].read_bytes()[:-30], rolled[1].name)
     made = repair(path)
     assert made.saved is not None
@@ -166,7 +170,7 @@ def test_a_part_whose_index_alone_is_lost_goes_on_as_before(rolled: list[Path], 
     assert open_log([rolled[0], made.saved, *rolled[2:]]).n_steps == 27
 
 
-def test_a_log_whose_index_alone_is_lost_is_saved_whole(whole: Path, tmp_path: Path) -> None:
+def test_a_log_that_lost_only_its_index_is_saved_completely(whole: Path, tmp_path: Path) -> None:
     made = repair(damaged(tmp_path, whole.read_bytes()[:-30]))
     assert made.saved is not None
     assert (made.steps, made.cut) == (27, False)
@@ -181,7 +185,7 @@ def test_a_log_that_was_never_ended_is_ended(made_up: Any, tmp_path: Path) -> No
     assert made.missing_bytes == 0
 
 
-def test_a_world_that_was_entered_without_a_trace_was_not_entered(made_up: Any, tmp_path: Path) -> None:
+def test_a_switch_to_a_world_without_any_record_is_undone(made_up: Any, tmp_path: Path) -> None:
     """Killed between a switch and the segment after it."""
     made = made_up.records()
     second = [i for i, record in enumerate(made) if isinstance(record, Switch)][1]
@@ -208,7 +212,7 @@ def test_nothing_is_overwritten(whole: Path, tmp_path: Path) -> None:
     assert (tmp_path / "stream-002-000-repaired.mcap").read_text() == "mine"
 
 
-def test_what_is_no_log_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_log_is_refused(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="no such log"):
         repair(tmp_path / "x.mcap")
     (tmp_path / "x.mcap").write_text("no log at all")
@@ -216,8 +220,8 @@ def test_what_is_no_log_is_refused(tmp_path: Path) -> None:
         repair(tmp_path / "x.mcap")
 
 
-def test_whole_bytes_that_make_no_log_are_not_called_whole(made_up: Any, tmp_path: Path) -> None:
-    """All CRCs are right, but there is no step, or none with as many parts as the head names."""
+def test_undamaged_bytes_that_do_not_form_a_log_are_an_error(made_up: Any, tmp_path: Path) -> None:
+    """All CRCs are right, but the file has no step, or its steps have another number of parts than the head."""
     (stepless,) = made_up.write(tmp_path, [one for one in made_up.records() if not isinstance(one, StepRecord)])
     with pytest.raises(LogError, match=r"stream-002-000\.mcap: .*restore the file from a copy"):
         repair(stepless)
@@ -236,8 +240,8 @@ def test_whole_bytes_that_make_no_log_are_not_called_whole(made_up: Any, tmp_pat
 
 
 @pytest.mark.parametrize("inside", ["", "checkpoint"])
-def test_in_the_folder_of_an_unfinished_artefact_nothing_is_put(whole: Path, tmp_path: Path, inside: str) -> None:
-    """It would become part of the artefact, or go with the checkpoint, when the run is gone on with."""
+def test_nothing_is_written_into_the_folder_of_an_unfinished_artefact(whole: Path, tmp_path: Path, inside: str) -> None:
+    """The file would become part of the artefact or be removed with the checkpoint when the run continues."""
     folder = tmp_path / ".curl[1].partial" / inside
     folder.mkdir(parents=True)
     path = damaged(folder, whole.read_bytes()[:-30])
@@ -252,7 +256,7 @@ class KilledError(Exception):
     """Stands for kill -9."""
 
 
-def test_a_repair_that_fails_leaves_nothing_and_can_be_done_again(
+def test_a_repair_that_fails_leaves_nothing_and_can_be_repeated(
     whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = damaged(tmp_path, whole.read_bytes()[:-30])

@@ -1,4 +1,4 @@
-"""Killed writers: however often and wherever, the files become those of one that was never killed."""
+"""Killed writers: the files become those of an uninterrupted writer, however often and wherever it is killed."""
 
 import tempfile
 from collections.abc import Mapping
@@ -18,11 +18,11 @@ from gym_open.formats.logs.schemas import LogError, Record, SegmentStart
 from gym_open.formats.logs.writer import LogWriter
 
 ROLLS = [1, 20_000, 2**28]
-"""A file for every keyframe, some files, one file."""
+"""One file per keyframe, several files, one file."""
 
 
 class Saved(NamedTuple):
-    """A checkpoint: what had been played and written, and the sizes that the files had."""
+    """A checkpoint: numbers of records and messages, and the sizes of the files."""
 
     records: int = 0
     messages: int = 0
@@ -30,7 +30,7 @@ class Saved(NamedTuple):
 
 
 class Run:
-    """Play with a rollout of 7 records and a checkpoint after every second one, that can be killed and resumed."""
+    """A run that can be killed and resumed: rollouts of 7 records, and a checkpoint after every second rollout."""
 
     def __init__(self, folder: Path, made_up: Any, records: list[Record], roll_bytes: int) -> None:
         self.folder, self.aside = folder, folder / "aside"
@@ -53,7 +53,7 @@ class Run:
                 self.saved = Saved(i + 1, writer.messages, sizes)
 
     def kill(self, at: int, left: float) -> None:
-        """Play up to record `at`; of what the last file got since the checkpoint, only the share `left` is there."""
+        """Run up to record `at`; the last file keeps only the share `left` of its bytes since the checkpoint."""
         writer = self.open()
         self.play(writer, at)
         writer._hand_over()
@@ -100,7 +100,7 @@ def test_killed_anywhere_any_number_of_times(
         assert run.finish() == never_killed[roll]
 
 
-def test_files_that_lie_before_the_checkpoint_are_left_alone(
+def test_files_before_the_checkpoint_stay_unchanged(
     made_up: Any, records: list[Record], never_killed: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Neither copied nor unpacked."""
@@ -124,7 +124,7 @@ def test_files_that_lie_before_the_checkpoint_are_left_alone(
 
 
 def test_the_longer_of_two_files_is_kept_aside(made_up: Any, records: list[Record], tmp_path: Path) -> None:
-    """Killed late, then again before it had come as far: what the first one had written is compared with as well."""
+    """Killed late, then again earlier: the records of the first writer are compared as well."""
     run = Run(tmp_path, made_up, records, 2**28)
     run.kill(13, 1.0)
     run.kill(4, 1.0)
@@ -137,7 +137,7 @@ def test_the_longer_of_two_files_is_kept_aside(made_up: Any, records: list[Recor
 
 
 @pytest.mark.parametrize("left", [0, 100, 9_000])
-def test_killed_while_what_belongs_to_the_checkpoint_is_copied(
+def test_killed_while_records_before_the_checkpoint_are_copied(
     made_up: Any, records: list[Record], never_killed: Any, tmp_path: Path, left: int
 ) -> None:
     run = Run(tmp_path, made_up, records, 2**28)
@@ -150,10 +150,10 @@ def test_killed_while_what_belongs_to_the_checkpoint_is_copied(
     assert run.finish() == never_killed[2**28]
 
 
-def test_what_follows_a_damaged_file_is_not_compared_with(
+def test_files_after_a_damaged_file_are_not_compared(
     made_up: Any, records: list[Record], never_killed: Any, tmp_path: Path
 ) -> None:
-    """It does not follow on what is whole."""
+    """They do not continue its undamaged beginning."""
     run = Run(tmp_path, made_up, records, 1)
     run.kill(13, 1.0)
     files = run.files()
@@ -163,7 +163,7 @@ def test_what_follows_a_damaged_file_is_not_compared_with(
     assert run.finish() == never_killed[1]
 
 
-def test_a_resume_cut_short_between_two_files_is_done_again(
+def test_a_resume_interrupted_between_two_files_can_be_repeated(
     made_up: Any, records: list[Record], never_killed: Any, tmp_path: Path
 ) -> None:
     run = Run(tmp_path, made_up, records, 1)
@@ -189,7 +189,7 @@ def test_files_of_other_names_stay_where_they_are(
     assert made == never_killed[1]
 
 
-def test_a_run_that_goes_another_way_is_an_error_and_the_old_log_is_kept(
+def test_a_run_that_differs_is_an_error_and_the_old_log_is_kept(
     made_up: Any, records: list[Record], tmp_path: Path
 ) -> None:
     run = Run(tmp_path, made_up, records, 2**28)

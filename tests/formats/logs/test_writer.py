@@ -1,4 +1,4 @@
-"""Writing a log: nothing is lost, and neither time nor place shows in the bytes."""
+"""Writing a log: nothing is lost, and the bytes depend neither on time nor on the folder."""
 
 import random
 import resource
@@ -34,7 +34,7 @@ def expected(made_up: Any, records: list[Record]) -> list[LogMessage]:
 
 
 def noisy(records: list[Record]) -> list[Record]:
-    """The same with pictures of noise, which take their 21 kB each on the disk, too."""
+    """The same with images of noise, which take 21 kB each on disk."""
     rng = np.random.default_rng(1)
     return [
         msgspec.structs.replace(record, image=rng.integers(0, 256, (84, 84, 3), np.uint8))
@@ -44,9 +44,9 @@ def noisy(records: list[Record]) -> list[Record]:
     ]
 
 
-@pytest.mark.parametrize("pictures", [False, True])
-def test_messages_stand_in_the_order_of_the_records(made_up: Any, tmp_path: Path, pictures: bool) -> None:
-    records = made_up.records(pictures=pictures)
+@pytest.mark.parametrize("all_images", [False, True])
+def test_messages_stand_in_the_order_of_the_records(made_up: Any, tmp_path: Path, all_images: bool) -> None:
+    records = made_up.records(all_images=all_images)
     assert read(made_up.write(tmp_path, records)) == expected(made_up, records)
 
 
@@ -62,7 +62,7 @@ def test_bytes_repeat_in_another_folder(made_up: Any, tmp_path: Path) -> None:
 def test_bytes_do_not_depend_on_timing(
     made_up: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, batch: int, queue: int
 ) -> None:
-    """Neither on how the two threads take turns, nor on how many records are handed over at once."""
+    """Neither the order in which the threads run nor the size of a batch matters."""
     records = made_up.records(steps=3)
     for name in ("plain", "hampered"):
         (tmp_path / name).mkdir()
@@ -88,7 +88,7 @@ def test_bytes_do_not_depend_on_timing(
     assert [path.read_bytes() for path in hampered] == [path.read_bytes() for path in plain]
 
 
-def test_a_slow_disk_makes_the_player_wait_and_loses_nothing(
+def test_a_slow_disk_makes_the_caller_wait_and_loses_nothing(
     made_up: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(log_writer, "BATCH", 2)
@@ -103,7 +103,7 @@ def test_a_slow_disk_makes_the_player_wait_and_loses_nothing(
     class Watched(Queue):
         def put(self, *arguments: Any, **options: Any) -> None:
             nonlocal waits
-            waits = self.full()  # nobody takes anything from it yet
+            waits = self.full()  # no thread takes from it yet
             super().put(*arguments, **options)
 
     monkeypatch.setattr(log_mcap.McapWriter, "message", stalled)
@@ -122,11 +122,11 @@ def test_a_slow_disk_makes_the_player_wait_and_loses_nothing(
     before = len(taken)
     works_again.set()
     player.join()
-    assert 0 < before <= 2 * (1 + 3 + 1)  # one batch being written, three waiting, one being handed over
+    assert 0 < before <= 2 * (1 + 3 + 1)  # one batch being written, three waiting, one being enqueued
     assert read(sorted(tmp_path.iterdir())) == expected(made_up, records)
 
 
-def test_an_error_of_the_thread_reaches_the_player_as_it_is(made_up: Any, tmp_path: Path) -> None:
+def test_an_error_of_the_thread_reaches_the_caller_unchanged(made_up: Any, tmp_path: Path) -> None:
     records = made_up.records()
     bad = msgspec.structs.replace(records[2], image=np.zeros((4, 4, 3), np.uint8))
     writer = LogWriter(tmp_path, made_up.head)
@@ -151,7 +151,7 @@ def test_parts_of_a_reward_must_be_those_of_the_head(made_up: Any, tmp_path: Pat
 
 
 class KilledError(Exception):
-    """Stands for whatever ends the play."""
+    """Stands for any error that ends the exploration."""
 
 
 def test_a_writer_that_an_error_passes_through_writes_no_index(made_up: Any, tmp_path: Path) -> None:
@@ -182,7 +182,7 @@ def test_a_closed_writer_can_be_closed_again(made_up: Any, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("roll_bytes", [1, 30_000, 100_000])
-def test_a_large_file_is_followed_by_another_at_a_keyframe(made_up: Any, tmp_path: Path, roll_bytes: int) -> None:
+def test_after_a_large_file_the_next_one_begins_at_a_keyframe(made_up: Any, tmp_path: Path, roll_bytes: int) -> None:
     records = noisy(made_up.records(steps=4))
     paths = made_up.write(tmp_path, records, roll_bytes=roll_bytes)
     assert len(paths) > 2
@@ -198,7 +198,7 @@ def test_a_large_file_is_followed_by_another_at_a_keyframe(made_up: Any, tmp_pat
         assert read([path])[0].topic == (log_schemas.SWITCH if part == 0 else log_schemas.SEGMENT)
 
 
-def test_a_file_is_rolled_when_its_whole_chunks_reach_the_size(made_up: Any, tmp_path: Path) -> None:
+def test_the_next_file_begins_when_complete_chunks_reach_the_size(made_up: Any, tmp_path: Path) -> None:
     """A chunk ends at every switch here, so the first two are on the disk when the second segment begins."""
     records = noisy(made_up.records(steps=4))
     for name in ("whole", "just", "not"):
@@ -214,16 +214,16 @@ def test_a_file_is_rolled_when_its_whole_chunks_reach_the_size(made_up: Any, tmp
 
 @pytest.fixture
 def disk() -> Iterator[Callable[[int], None]]:
-    """`disk(size)` ends the files of this process at so many bytes, as if there were no more room."""
+    """`disk(size)` limits the files of this process to that many bytes, like a full disk."""
     usual, most = resource.getrlimit(resource.RLIMIT_FSIZE)
     yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, most))
     resource.setrlimit(resource.RLIMIT_FSIZE, (usual, most))
 
 
-def test_a_full_disk_is_a_clear_error_and_the_log_goes_on_when_there_is_room(
+def test_a_full_disk_is_a_clear_error_and_the_log_continues_when_there_is_room(
     made_up: Any, tmp_path: Path, disk: Callable[[int], None]
 ) -> None:
-    """All whole chunks read back, and a writer that goes on from there ends with the log that was meant."""
+    """All complete chunks can be read, and a writer that continues from there ends with the intended log."""
     records = noisy(made_up.records(steps=4))
 
     def play(writer: LogWriter, todo: list[Record]) -> None:

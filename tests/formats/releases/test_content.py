@@ -1,4 +1,4 @@
-"""Content digests see every value and nothing of the way in which it is kept."""
+"""Content digests depend on every value and not on how it is stored."""
 
 import hashlib
 import io
@@ -58,7 +58,7 @@ def again(table: pa.Table, **how: Any) -> pa.Table:
 
 
 def test_a_feature_is_hashed_as_the_docs_say() -> None:
-    """By hand: SHA-256 over canonical JSON of type and shape, then the bytes."""
+    """Computed here independently: SHA-256 over canonical JSON of type and shape, then the bytes."""
     values = np.arange(6, dtype=np.float32).reshape(2, 3)
     head = b'{\n "dtype": "float32",\n "shape": [\n  2,\n  3\n ]\n}\n'
     assert json.loads(head) == {"dtype": "float32", "shape": [2, 3]}
@@ -142,7 +142,7 @@ def test_a_release_is_its_episodes_in_order_and_its_tables() -> None:
     assert len({first, *others}) == 5
 
 
-def test_a_payload_is_all_but_the_records() -> None:
+def test_the_payload_is_everything_except_the_records() -> None:
     manifest = {
         "data/chunk-000/file-000.parquet": {"sha256": "1", "bytes": 2},
         "README.md": {"sha256": "3", "bytes": 4},

@@ -1,4 +1,4 @@
-"""The reader of releases: what it refuses, and that it gives each frame by its number."""
+"""The reader of releases: what it refuses, and that it returns each frame by its number."""
 
 import json
 import shutil
@@ -47,7 +47,7 @@ def release(root: Path) -> Release:
     return open_release(root)
 
 
-def test_images_come_in_the_order_asked_for(release: Release) -> None:
+def test_images_come_in_the_requested_order(release: Release) -> None:
     every = release.images(range(len(release)))
     assert every.shape == (len(release), 84, 84, 3)
     assert every.dtype == np.uint8
@@ -56,14 +56,14 @@ def test_images_come_in_the_order_asked_for(release: Release) -> None:
     assert release.images([]).shape == (0, 84, 84, 3)
 
 
-def test_frames_one_at_a_time_are_those_of_all(release: Release) -> None:
-    """Whatever the row groups, files and groups of frames of a video that they are in."""
+def test_single_frames_equal_those_read_together(release: Release) -> None:
+    """In any row group, file and group of video frames."""
     every = release.images(range(len(release)))
     for index in np.random.default_rng(0).permutation(len(release)).tolist():
         assert np.array_equal(Release(release.root, "", release.info).images([index])[0], every[index])
 
 
-def test_numbers_are_the_columns_cut(release: Release) -> None:
+def test_numbers_are_slices_of_the_columns(release: Release) -> None:
     columns = {name: release.column(name) for name in release.info["features"] if name != IMAGE}
     bounds = np.random.default_rng(1).integers(0, len(release), (20, 2))
     for first, last in np.sort(bounds, axis=1).tolist():
@@ -75,8 +75,8 @@ def test_numbers_are_the_columns_cut(release: Release) -> None:
         release.numbers(0, len(release) + 1)
 
 
-def test_tables_of_all_batches_are_pandas_own(release: Release) -> None:
-    """Held against pandas, which reads a folder of files by itself."""
+def test_tables_of_all_batches_equal_those_of_pandas(release: Release) -> None:
+    """pandas reads a folder of files by itself."""
     for name in TABLES:
         theirs = pd.read_parquet(release.root / f"meta/{name}")
         ours = release.table(name)
@@ -88,7 +88,7 @@ def test_tables_of_all_batches_are_pandas_own(release: Release) -> None:
     assert not any(name.startswith("stats/") for name in release.episodes.columns)
 
 
-def test_a_split_is_its_episodes_frames(release: Release) -> None:
+def test_a_split_is_the_frames_of_its_episodes(release: Release) -> None:
     frames = release.frames
     for name in ("train", "val"):
         episodes = release.episodes.loc[release.episodes["split"] == name, "episode_index"]
@@ -138,7 +138,7 @@ def test_name_and_version(release: Release) -> None:
     assert (release.name, release.version) == ("open/explore", "1.1.0")
 
 
-def test_png_files_are_there_unless_pictures_are_video(release: Release) -> None:
+def test_png_files_exist_unless_images_are_video(release: Release) -> None:
     if release.info["gym_open"]["pictures"] == "video":
         with pytest.raises(ArtefactError, match="stores its images as video"):
             release.pngs([0])
@@ -147,7 +147,7 @@ def test_png_files_are_there_unless_pictures_are_video(release: Release) -> None
 
 
 @pytest.mark.parametrize("index", [-1, 10**6])
-def test_a_frame_that_is_not_there_is_refused(release: Release, index: int) -> None:
+def test_a_frame_that_does_not_exist_is_refused(release: Release, index: int) -> None:
     with pytest.raises(IndexError, match=str(index)):
         release.images([0, index])
 
@@ -165,7 +165,7 @@ def test_frames_hold_every_scalar(release: Release) -> None:
 
 
 def test_a_changed_record_is_found_and_named(copy: Path) -> None:
-    """All but data and videos, which `check="bytes"` reads."""
+    """All files except data and videos, which `check="bytes"` reads."""
     rng = np.random.default_rng(0)
     files = [path for path in sorted(copy.rglob("*")) if path.is_file() and path.name != artefacts.MANIFEST]
     assert len(files) > 20
@@ -218,12 +218,12 @@ def test_another_kind_or_version_is_refused(copy: Path, make_log: Callable[..., 
 
 @pytest.mark.parametrize("damage", ["cut", "other", "none", "short"])
 def test_a_damaged_video_is_an_error_with_its_name(tmp_path: Path, damage: str) -> None:
-    pictures = np.random.default_rng(0).integers(0, 256, (30, 84, 84, 3), dtype=np.uint8)
+    images = np.random.default_rng(0).integers(0, 256, (30, 84, 84, 3), dtype=np.uint8)
     path = tmp_path / "x.mp4"
-    data = encode_clip(pictures)
+    data = encode_clip(images)
     path.write_bytes(data)
     for first, stop in ((0, 30), (11, 14), (29, 30)):
-        assert np.array_equal(list(videos.decode(path, first, stop)), pictures[first:stop])
+        assert np.array_equal(list(videos.decode(path, first, stop)), images[first:stop])
     path.write_bytes({"cut": data[: len(data) // 2], "other": b"RIFF" + data[4:], "none": b"", "short": data}[damage])
     with pytest.raises(ArtefactError, match=r"x\.mp4: (cannot be decoded|ends after frame 30, expected 31)"):
         list(videos.decode(path, 0, 31))

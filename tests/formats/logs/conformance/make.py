@@ -1,4 +1,4 @@
-"""Makes the conformance pair: `small.mcap`, a log with a message of every kind, and `small.json`, what is in it.
+"""Makes the conformance pair: `small.mcap`, a log with a message of every kind, and `small.json`, its contents.
 
     python tests/formats/logs/conformance/make.py
 
@@ -71,7 +71,7 @@ def _step(step: int, segment: int, segment_step: int) -> StepRecord:
 
 
 def write(folder: Path) -> Path:
-    """Write the log: a segment of 3 steps with a keyframe in it, then one of 2 that ends with the budget."""
+    """Write the log: a segment of 3 steps with a keyframe in it, then one of 2 steps that ends with the budget."""
     with LogWriter(folder, HEAD) as log:
         log.switch(Switch(0, -1, 0, "start", [math.inf, math.inf]))
         log.segment(_start(0, 0, 0, continued=False))
@@ -90,7 +90,7 @@ def write(folder: Path) -> Path:
 
 
 def plain(value: Any) -> Any:
-    """A value of a ROS 2 message as JSON has it."""
+    """A value of a ROS 2 message in JSON form."""
     if isinstance(value, float) and not math.isfinite(value):
         return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
     if isinstance(value, bytes):
@@ -102,7 +102,7 @@ def plain(value: Any) -> Any:
 
 
 def describe(path: Path) -> dict[str, Any]:
-    """What is in a log, read by the mcap package and its ROS 2 decoder."""
+    """Contents of a log, read by the mcap package and its ROS 2 decoder."""
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
         messages = [
