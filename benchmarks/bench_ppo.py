@@ -3,7 +3,8 @@
 The network's multiplications at the best rate for large matrices (`products`) are what no arrangement can do without.
 Beside the whole stand its parts: the environments alone, the network's forward pass alone when it acts, and forward and
 backward pass alone in the update's epochs. Stable-Baselines3's PPO has the same network, environments (stepped by our
-`Tables`, which are faster than its own), batch and epochs; it learns in fp32, and neither centres nor shifts pictures.
+`TrainingEnvironments`, which are faster than its own), batch and epochs; it learns in fp32, and neither centres nor
+shifts images.
 
 Contenders take turns, so that a busy machine slows all alike; a ratio is the median over rounds of that within the
 round. With one thread the clock is the processor's own time, which does not count what neighbours take. Two threads can
@@ -45,8 +46,8 @@ from gym_open.agents.threads import threads as sharing
 from gym_open.envs.constants import N_ACTIONS
 from gym_open.precision import Precision, native_precision
 from gym_open.train.config import PolicyTrainConfig
-from gym_open.train.policy import _Trainer
-from gym_open.train.tables import Tables
+from gym_open.train.environments import TrainingEnvironments
+from gym_open.train.policy import _PolicyTrainer
 
 SB3 = "Stable-Baselines3, fp32"
 N_ENVS, N_STEPS = 32, 64
@@ -65,7 +66,7 @@ class TablesVecEnv(VecEnv):
 
     def __init__(self, threads: int) -> None:
         super().__init__(N_ENVS, spaces.Box(0, 255, IMAGE_SHAPE, np.uint8), spaces.Discrete(N_ACTIONS))
-        self.tables = Tables("goal-seeking", N_ENVS, 0, threads=threads)
+        self.tables = TrainingEnvironments("goal-seeking", N_ENVS, 0, threads=threads)
 
     def reset(self) -> Any:
         return self.tables.seen.copy()
@@ -88,7 +89,9 @@ class TablesVecEnv(VecEnv):
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None: ...
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:  # noqa: ARG002  (the interface)
-        raise AttributeError(f"{method_name}: worlds in `Tables` have no methods that SB3's PPO would call")
+        raise AttributeError(
+            f"{method_name}: worlds in `TrainingEnvironments` have no methods that SB3's PPO would call"
+        )
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:  # noqa: ARG002
         return [False] * N_ENVS
@@ -123,12 +126,12 @@ def with_torchs(work: Work, threads: int) -> Work:
     return done
 
 
-def ours(threads: int, precision: Precision) -> tuple[Work, _Trainer]:
+def ours(threads: int, precision: Precision) -> tuple[Work, _PolicyTrainer]:
     """A rollout and its update, and who does it."""
     ppo = msgspec.structs.replace(PPO_CONFIG, precision=precision)
     config = PolicyTrainConfig(num_envs=N_ENVS, num_steps=N_STEPS, ppo=ppo, threads=threads)
     with tempfile.TemporaryDirectory() as folder:
-        trainer = _Trainer(config, None, Path(folder))
+        trainer = _PolicyTrainer(config, None, Path(folder))
     bar: Any = SimpleNamespace(advance=lambda _: None)
 
     def work() -> None:
@@ -158,26 +161,26 @@ def sb3(threads: int) -> Work:
     return work
 
 
-def environment(trainer: _Trainer) -> None:
+def environment(trainer: _PolicyTrainer) -> None:
     """The environments alone, under random actions."""
     for actions in np.random.default_rng(0).integers(0, N_ACTIONS, (N_STEPS, N_ENVS)):
-        trainer.tables.step(actions)
+        trainer.environments.step(actions)
 
 
 @torch.no_grad()
-def acting(trainer: _Trainer) -> None:
+def acting(trainer: _PolicyTrainer) -> None:
     """The network alone, on pictures that are prepared already."""
     with autocast(trainer.config.ppo.precision):
-        prepared = trainer.agent.prepare(torch.from_numpy(trainer.tables.seen))
+        prepared = trainer.agent.prepare(torch.from_numpy(trainer.environments.seen))
         for _ in range(N_STEPS):
             trainer.agent(prepared)
 
 
-def updating(trainer: _Trainer) -> None:
+def updating(trainer: _PolicyTrainer) -> None:
     """Forward and backward pass alone, on a minibatch that is prepared already."""
     size = PPO_CONFIG.minibatch_size
     with autocast(trainer.config.ppo.precision):
-        seen = torch.from_numpy(trainer.tables.seen)
+        seen = torch.from_numpy(trainer.environments.seen)
         prepared = trainer.agent.prepare(seen.repeat(size // N_ENVS, 1, 1, 1))
     for _ in range(UPDATES):
         with autocast(trainer.config.ppo.precision):

@@ -19,7 +19,7 @@ from gym_open.agents.encoder import Encoder
 from gym_open.config import decode
 from gym_open.formats.models import load_policy, policy_folder
 from gym_open.train.config import PolicyTrainConfig
-from gym_open.train.policy import first_pictures
+from gym_open.train.policy import first_images
 
 PICTURES = 300
 
@@ -48,7 +48,7 @@ def main() -> None:
         config = decode(artefacts.config_of(path), PolicyTrainConfig, source=str(path))
         facts = artefacts.lineage(path).facts
         if config.task not in pictures:
-            pictures[config.task] = first_pictures(PolicyTrainConfig(task=config.task, mean_images=PICTURES))
+            pictures[config.task] = first_images(PolicyTrainConfig(task=config.task, mean_images=PICTURES))
         steps = [one["step"] for one in facts["checkpoints"]]
         for step, folder in [*((one, policy_folder(path, one)) for one in steps), (facts["steps"], path)]:
             table.add_row(path.name, f"{step:,}", *describe(folder, pictures[config.task]))

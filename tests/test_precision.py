@@ -86,15 +86,15 @@ def test_a_resumed_policy_goes_on_in_the_precision_in_which_it_began(
     processor(began)
     whole = policy.train_policy(TINY, None, tmp_path / "whole").path
     assert artefacts.lineage(whole).facts["precision"] == began
-    real = policy._Trainer.collect
+    real = policy._PolicyTrainer.collect
 
-    def stop_in_the_second_update(self: policy._Trainer, *rest: object) -> object:
+    def stop_in_the_second_update(self: policy._PolicyTrainer, *rest: object) -> object:
         if self.rows:
             raise KeyboardInterrupt
         return real(self, *rest)  # pyright: ignore[reportArgumentType]
 
     with monkeypatch.context() as patch:
-        patch.setattr(policy._Trainer, "collect", stop_in_the_second_update)
+        patch.setattr(policy._PolicyTrainer, "collect", stop_in_the_second_update)
         with pytest.raises(KeyboardInterrupt):
             policy.train_policy(TINY, None, tmp_path / "resumed")
     processor(OTHER[began])

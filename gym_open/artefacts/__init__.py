@@ -1,15 +1,16 @@
-"""Artefacts: folders that are whole or absent, know their bytes, and know where they come from.
+"""Artefacts: folders that are whole or absent, and that record their bytes and their origin.
 
 An artefact is a folder of payload files and three records:
 
-    config.json     all of the configuration that made it, defaults included
+    config.json     the whole configuration that made it, defaults included
     lineage.json    kind, key of its inputs, parents (digest and lineage of each), code and package versions, facts
     manifest.json   SHA-256 and size of every other file
 
-Its *digest* is the SHA-256 of manifest.json. No path, host, user name or time of day is in any of them, so the same
-inputs give the same digest in any folder. It is written in a hidden sibling folder and renamed when it is whole.
+The *digest* of an artefact is the SHA-256 of manifest.json. The records hold no path, host, user name or time of day,
+so the same inputs give the same digest in any folder. An artefact is written in a hidden sibling folder, which is
+renamed when it is whole.
 
-A release may have a signature.json beside them: it signs the manifest, so it cannot be in it.
+A release may also have a signature.json. It signs the manifest, so the manifest cannot list it.
 """
 
 from gym_open.artefacts.building import RECORDED_PACKAGES, SCRATCH, Outcome, build, is_up_to_date

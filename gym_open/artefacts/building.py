@@ -1,4 +1,4 @@
-"""How an artefact is made: in a hidden sibling folder, resumed after a kill, renamed when it is whole."""
+"""Make an artefact: in a hidden sibling folder that survives a kill and is renamed when it is whole."""
 
 import functools
 import hashlib
@@ -30,7 +30,7 @@ from gym_open.errors import ArtefactError, RefusedError, UsageError
 from gym_open.files import FULL, lock, sha256_file, unwritable, write_atomically
 
 SCRATCH = "checkpoint"
-"""Folder inside an unfinished artefact for whatever a resume needs; removed before sealing."""
+"""Folder in an unfinished artefact for all that a resumed run needs; removed when the artefact is sealed."""
 
 RECORDED_PACKAGES = (
     "av", "lerobot", "matplotlib", "mcap", "mujoco", "mujoco-core", "numba", "numpy", "pillow", "pyarrow", "torch",
@@ -38,13 +38,13 @@ RECORDED_PACKAGES = (
 
 
 class Outcome(msgspec.Struct, frozen=True):
-    """What `build` did."""
+    """The result of `build`."""
 
     path: Path
     made: bool
-    """Made now, or found up to date."""
+    """True if `build` made it now, False if it was up to date."""
     earlier: Path | None = None
-    """Where an artefact of other inputs, which stood at `path` before, was put aside."""
+    """Where an earlier artefact of other inputs, found at `path`, was set aside."""
 
 
 @functools.cache
@@ -54,7 +54,7 @@ def _packages() -> dict[str, str]:
         try:
             found[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
-            continue  # training and evaluation also run where LeRobot is not installed
+            continue  # training and evaluation also run without LeRobot
     return found
 
 
@@ -62,24 +62,24 @@ def build(
     out: Path, *, kind: str, config: Config, parents: Sequence[Path], work: Callable[[Path], Mapping[str, Any]],
     replace: bool = True,
 ) -> Outcome:  # fmt: skip
-    """Make the artefact `out` unless it is already there and up to date.
+    """Make the artefact `out`, unless it exists and is up to date.
 
     `work` gets a folder to write the payload into and returns the facts for the lineage. The folder survives a kill:
-    if it holds files, `work` goes on from them. What was made of other inputs, whole or not, is set aside.
+    if it holds files, `work` continues from them. An artefact of other inputs, whole or not, is set aside.
 
     Args:
         out: folder of the artefact.
         kind: `log`, `release`, `encoder`, `policy`, `probe`, `scores`, `recording` or `figure`.
-        config: everything that decides the result, the seed included.
-        parents: folders of the input artefacts; each is verified byte by byte first.
+        config: everything that determines the result, including the seed.
+        parents: folders of the input artefacts. Every byte of them is verified first.
         work: writes the payload.
-        replace: whether an artefact of other inputs at `out` is set aside, rather than left alone.
+        replace: set aside an artefact of other inputs at `out`; otherwise refuse.
 
     Raises:
         ArtefactError: if a parent is damaged, `out` is something else, or the disk is full.
-        RefusedError: if `work` raises it; nothing of what it made is kept.
-        UsageError: if another process is writing `out` now, nothing can be written there, or it is there, of other
-            inputs, and not to be replaced.
+        RefusedError: if `work` raises it. Nothing that `work` wrote is kept.
+        UsageError: if another process is writing `out`, nothing can be written there, or an artefact of other inputs
+            is there and `replace` is false.
     """
     out = out.absolute()
     inputs = [Parent(digest=verify(parent), manifest=manifest(parent), lineage=lineage(parent)) for parent in parents]
@@ -92,8 +92,8 @@ def build(
             return Outcome(path=out, made=False)
         if not replace:
             raise UsageError(
-                f"{out}: is there already, made of other inputs or by other code, and is never changed; give another "
-                "--out, or of a release a higher --version"
+                f"{out}: exists, made from other inputs or by other code, and is never changed; give another --out, or "
+                "for a release a higher --version"
             )
     partial = out.parent / f".{out.name}.partial"
     with lock(out):
@@ -124,17 +124,17 @@ def _verify_own(out: Path) -> None:
 
 
 def _set_aside(path: Path) -> Path:
-    """Rename `path` to the first free `NAME-1`, `NAME-2`, …: nothing that was made is ever deleted."""
+    """Rename `path` to the first free `NAME-1`, `NAME-2`, …: no artefact is ever deleted."""
     aside = next(name for n in itertools.count(1) if not (name := path.with_name(f"{path.name}-{n}")).exists())
     path.rename(aside)
     return aside
 
 
 def is_up_to_date(out: Path, *, kind: str, config: Config, parents: Sequence[Path]) -> bool:
-    """Whether `build` would find `out` up to date: made of these inputs by this code, and whole.
+    """Return whether `build` would find `out` up to date: made from these inputs by this code, and whole.
 
-    Every byte of `out` is read, and of the parents only their manifests: who asks this of many artefacts asks it of the
-    parents, too.
+    It reads every byte of `out`, but only the manifests of the parents. To check a whole chain, call it for the parents
+    too.
     """
     try:
         key = _key(kind, config, [digest(parent) for parent in parents])
@@ -149,7 +149,7 @@ def _key(kind: str, config: Config, parents: Sequence[str]) -> str:
 
 
 def _claim(partial: Path, key: str) -> bool:
-    """Take the folder to work in; True if all is done, by a run that was killed between sealing and renaming it."""
+    """Take the working folder. True if it is sealed already: a run was killed before it renamed the folder."""
     if (partial / MANIFEST).is_file() and lineage(partial).key == key:
         shutil.rmtree(partial / SCRATCH, ignore_errors=True)
         _verify_own(partial)
@@ -175,4 +175,6 @@ def _seal(partial: Path, config: Config, record: Lineage) -> None:
         if name != MANIFEST and not name.startswith(f"{SCRATCH}/")
     }
     write_atomically(partial / MANIFEST, canonical_json(entries))
-    shutil.rmtree(partial / SCRATCH)  # last: a kill leaves a folder that the same command goes on from, or only renames
+    shutil.rmtree(
+        partial / SCRATCH
+    )  # last: after a kill, the same command continues in this folder, or only renames it

@@ -1,4 +1,4 @@
-"""Whether an artefact is what its manifest says, whole, and nothing else."""
+"""Check that an artefact is whole and holds exactly what its manifest lists."""
 
 import os
 import re
@@ -25,30 +25,31 @@ from gym_open.errors import ArtefactError
 from gym_open.files import sha256_file
 
 MAX_SIGNATURE_BYTES = 2**20
-"""A signature above this size is never read: that of a release with a thousand files has 300 kB."""
+"""A larger signature is never read. The signature of a release with a thousand files has 300 kB."""
 _PART = re.compile(r"[A-Za-z0-9_+=,@-][A-Za-z0-9_+=,@.-]*")
-"""Part of a file's name in an artefact: nothing hidden, no way up, nothing that a shell or terminal takes amiss."""
+"""A part of a file's name in an artefact: not hidden, not `..`, without characters special to a shell or terminal."""
 STRANGE = "links and special files do not belong in an artefact; remove it"
 
 
 class Problem(msgspec.Struct, frozen=True, order=True):
-    """Something that is wrong with a file of an artefact."""
+    """A fault in a file of an artefact."""
 
     file: str
-    """Its name below the artefact's folder, with slashes; as untrusted as the artefact."""
+    """Path within the artefact's folder, with slashes. It is as untrusted as the artefact."""
     what: str
     """What is wrong, and what to do."""
 
 
 def problems(path: Path, *, hashed: Callable[[str], bool] = lambda _: True) -> Iterator[Problem]:
-    """Everything that keeps the artefact at `path` from being what its manifest says, and whole.
+    """Find all faults of the artefact at `path`.
 
-    Files that are missing, changed, extra, linked or special, folders without a file, names that leave the folder or
-    hold odd characters, and a manifest that is not written as `build` writes it. Hard links are files like others.
+    Faults are files that are missing, changed, extra, linked or special, folders without a file, names that leave the
+    folder or hold odd characters, and a manifest that is not written as `build` writes it. Hard links are ordinary
+    files.
 
     Args:
         path: folder of the artefact.
-        hashed: of which files (by name) the bytes are read; of the others only the size is held against the manifest.
+        hashed: selects by name the files whose bytes are read. For the others, only the size is compared.
 
     Raises:
         ArtefactError: if there is no manifest, or it cannot be read.
@@ -64,7 +65,7 @@ def problems(path: Path, *, hashed: Callable[[str], bool] = lambda _: True) -> I
             yield Problem(name, f"a name that {MANIFEST} may not list: it leaves the folder, or has odd characters")
     present, folders, strange = walk(path)
     yield from (Problem(name, STRANGE) for name in strange)
-    with suppress(ArtefactError):  # a lineage that cannot be read is none of a release
+    with suppress(ArtefactError):  # an unreadable lineage belongs to no release
         if SIGNATURE not in listed and lineage(path).kind == "release":
             size = present.pop(SIGNATURE, 0)
             if size > MAX_SIGNATURE_BYTES:
@@ -78,7 +79,7 @@ def problems(path: Path, *, hashed: Callable[[str], bool] = lambda _: True) -> I
 
 
 def walk(root: Path) -> tuple[dict[str, int], set[str], list[str]]:
-    """Size of every file, all folders, and what is neither, by name; no link is followed."""
+    """Size of every file, all folders, and all other items, by name. No link is followed."""
     files: dict[str, int] = {}
     folders: set[str] = set()
     strange: list[str] = []
@@ -99,7 +100,7 @@ def walk(root: Path) -> tuple[dict[str, int], set[str], list[str]]:
 
 
 def _wrong(path: Path, size: int | None, expected: Entry | None, hashed: bool) -> str | None:
-    """What is wrong with one file, if anything."""
+    """The fault of one file, or None."""
     if expected is None:
         return f"not listed in {MANIFEST}; remove the extra file"
     if size is None:
@@ -120,10 +121,10 @@ def verify(path: Path, kind: str | None = None, *, hashed: Callable[[str], bool]
     Args:
         path: folder of the artefact.
         kind: if given, the kind that it must be (`log`, `release`, `encoder`, `policy`, …).
-        hashed: as `problems` has it: which files to read.
+        hashed: selects the files to read, as in `problems`.
 
     Raises:
-        ArtefactError: naming the first file that is missing, changed or extra, or the wrong kind.
+        ArtefactError: naming the first file that is missing, changed or extra, or the kind if it is another.
     """
     found = digest(path)
     if kind is not None and lineage(path).kind != kind:

@@ -1,4 +1,4 @@
-"""The three records of an artefact, as data, and how they are read."""
+"""The three records of an artefact as data, and functions that read them."""
 
 import hashlib
 import stat
@@ -11,12 +11,12 @@ from gym_open.errors import ArtefactError
 
 CONFIG, LINEAGE, MANIFEST = "config.json", "lineage.json", "manifest.json"
 SIGNATURE = "signature.json"
-"""Of a release, and made after it: the one file that its manifest does not list."""
+"""Signature of a release, made after it: the only file that its manifest does not list."""
 SCRATCH = "checkpoint"
-"""Folder inside an unfinished artefact for whatever a resume needs; removed before sealing."""
+"""Folder in an unfinished artefact for all that a resumed run needs; removed when the artefact is sealed."""
 
 _MAX_RECORD_BYTES = 2**26
-"""A manifest or lineage is refused above this size: fifty times what a large release has."""
+"""A larger manifest or lineage is refused. This is fifty times the size in a large release."""
 
 
 class Entry(msgspec.Struct, frozen=True):
@@ -27,14 +27,14 @@ class Entry(msgspec.Struct, frozen=True):
 
 
 class Parent(msgspec.Struct, frozen=True):
-    """An input artefact with its own records, so that a chain can be read and checked without the input being there."""
+    """An input artefact with its records, so that a chain can be checked where the input is missing."""
 
     digest: str
     manifest: dict[str, Entry]
     lineage: "Lineage"
 
     def is_consistent(self) -> bool:
-        """Whether the digest is that of this manifest, and the manifest's lineage is this lineage."""
+        """Whether the digest fits this manifest, and the manifest fits this lineage."""
         entry = self.manifest.get(LINEAGE)
         return (
             entry is not None
@@ -44,20 +44,20 @@ class Parent(msgspec.Struct, frozen=True):
 
 
 class Lineage(msgspec.Struct, frozen=True):
-    """Where an artefact comes from."""
+    """Origin of an artefact."""
 
     kind: str
     key: str
-    """Digest of everything that went in: kind, configuration, parents, code."""
+    """Digest of all inputs: kind, configuration, parents, code."""
     code: str
     packages: dict[str, str]
     facts: dict[str, Any]
-    """What later stages must be able to rely on, for example the task and puzzle digests of a log."""
+    """Facts that later stages rely on, for example the task and puzzle digests of a log."""
     parents: list[Parent]
 
 
 def canonical_json(value: Any) -> bytes:
-    """JSON with sorted keys and a final newline: equal values give equal bytes."""
+    """Encode JSON with sorted keys and a final newline: equal values give equal bytes."""
     return msgspec.json.format(msgspec.json.encode(value, order="sorted"), indent=1) + b"\n"
 
 
@@ -83,12 +83,12 @@ def lineage(path: Path) -> Lineage:
 
 
 def config_of(path: Path) -> dict[str, Any]:
-    """The configuration, as plain data, that made the artefact at `path`."""
+    """The configuration that made the artefact at `path`, as plain data."""
     return _read(path / CONFIG, dict[str, Any])
 
 
 def manifest(path: Path) -> dict[str, Entry]:
-    """SHA-256 and size of every file of the artefact at `path` but the manifest itself, by name.
+    """SHA-256 and size of every file of the artefact at `path` except the manifest itself, by name.
 
     Raises:
         ArtefactError: if it is missing or not readable as a manifest.
@@ -97,7 +97,7 @@ def manifest(path: Path) -> dict[str, Entry]:
 
 
 def read_record(path: Path) -> bytes:
-    """Bytes of a record; refused if it is a link, a special file or too large.
+    """Read the bytes of a record. A link, a special file or a file that is too large is refused.
 
     Raises:
         ArtefactError: if it is refused.

@@ -12,10 +12,10 @@ from gym_open.datasets.config import ReleaseConfig
 from gym_open.datasets.writing.repeats import check_distinct
 from gym_open.datasets.writing.sources import (
     HELD,
-    Play,
+    SourceStream,
     episodes_of_logs,
     held_logs,
-    plays_of,
+    streams_of,
 )
 from gym_open.datasets.writing.splits import Unit, assign, shares_of, unit_of, units_of
 from gym_open.datasets.writing.tables import tables_of_logs
@@ -118,11 +118,11 @@ def _write(
     config: ReleaseConfig, logs: Sequence[Path], folder: Path, after: Release | None, workers: int | None
 ) -> dict[str, Any]:
     """Write data and meta of a release, or of one that goes on from `after`; return its facts."""
-    plays = plays_of(logs, int(after.table("streams")["stream"].max()) + 1 if after else 0)
-    described = _features(config, plays, after)
-    check_distinct(plays, after)
+    streams = streams_of(logs, int(after.table("streams")["stream"].max()) + 1 if after else 0)
+    described = _features(config, streams, after)
+    check_distinct(streams, after)
     known = _known_units(config, after) if after else {}
-    splits = assign(units_of(config, plays), config.val_fraction, config.seed, known)
+    splits = assign(units_of(config, streams), config.val_fraction, config.seed, known)
     ours = {
         "split_by": config.split_by,
         "val": sorted(unit for unit, split in splits.items() if split == "val"),
@@ -131,44 +131,44 @@ def _write(
     }
     with (
         ReleaseWriter(
-            folder, config, described, shares_of(config, plays, splits),
+            folder, config, described, shares_of(config, streams, splits),
             ours=ours, data_file_mb=config.data_file_mb, after=after, workers=workers,
         ) as writer,
-        progress.bar("dataset build", sum(play.log.n_steps for play in plays)) as bar,
+        progress.bar("dataset build", sum(stream.log.n_steps for stream in streams)) as bar,
     ):  # fmt: skip
-        for play in plays:
-            if writer.skip(shares_of(config, [play], splits)):
-                bar.advance(play.log.n_steps)
+        for stream in streams:
+            if writer.skip(shares_of(config, [stream], splits)):
+                bar.advance(stream.log.n_steps)
                 continue
-            for episode in episodes_of_logs(config, [play], splits, described):
+            for episode in episodes_of_logs(config, [stream], splits, described):
                 writer.add(episode)
                 bar.advance(episode.row["steps"])
-        return writer.close(tables_of_logs(config, plays, splits, described))
+        return writer.close(tables_of_logs(config, streams, splits, described))
 
 
-def _features(config: ReleaseConfig, plays: Sequence[Play], after: Release | None) -> Features:
-    """The features of all plays, or of the release that is appended to, which must have them.
+def _features(config: ReleaseConfig, streams: Sequence[SourceStream], after: Release | None) -> Features:
+    """The features of all streams, or of the release that is appended to, which must have them.
 
     Raises:
-        ArtefactError: if there is no play, or the plays are of different models.
+        ArtefactError: if there is no play, or the streams are of different models.
         UsageError: if the release that is appended to is of other features or rules.
     """
-    parts = sorted({part for play in plays for part in play.log.reward_parts})
+    parts = sorted({part for stream in streams for part in stream.log.reward_parts})
     names: tuple[str, ...] = ()
-    for play in plays:
-        first = next(play.log.segments(1), None)
+    for stream in streams:
+        first = next(stream.log.segments(1), None)
         if first is None:
             continue
         names = names or first.object_names
         if first.object_names != names:
             raise ArtefactError(
-                f"{play.log.path}: its objects are {first.object_names}, those of other logs {names}; logs of "
+                f"{stream.log.path}: its objects are {first.object_names}, those of other logs {names}; logs of "
                 "different models do not go into one release"
             )
     if odd := [part for part in parts if not _PART_NAME.fullmatch(part)]:
         raise ArtefactError(f"part {odd[0]!r} of a reward: expected letters, digits, '_', '-' and '.'; rename it")
     if not names:
-        places = ", ".join(str(play.log.path) for play in plays) or "no log file"
+        places = ", ".join(str(stream.log.path) for stream in streams) or "no log file"
         raise ArtefactError(f"{places}: no segment to make a release of; collect some steps first")
     if after is None:
         return features(names, parts, config.pictures)

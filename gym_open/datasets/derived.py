@@ -15,7 +15,7 @@ import pyarrow as pa
 from gym_open import artefacts, progress
 from gym_open.datasets.compare.versions import latest_below
 from gym_open.datasets.config import FilterConfig, MergeConfig
-from gym_open.datasets.writing.sources import HELD, Episode, episodes_of_release, held_logs
+from gym_open.datasets.writing.sources import HELD, SourceEpisode, episodes_of_release, held_logs
 from gym_open.datasets.writing.splits import Share, unit_of
 from gym_open.datasets.writing.writer import ReleaseWriter, check_workers, complete
 from gym_open.formats.releases import Release, open_release
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-class Kept(msgspec.Struct, frozen=True, eq=False):
+class KeptEpisodes(msgspec.Struct, frozen=True, eq=False):
     """What of a release goes into another."""
 
     release: Release
@@ -54,7 +54,7 @@ class Kept(msgspec.Struct, frozen=True, eq=False):
         groups = self.rows.groupby("split")["length"]
         return {split: Share(int(groups.count().get(split, 0)), int(groups.sum().get(split, 0))) for split in SPLITS}
 
-    def episodes(self) -> Iterator[Episode]:
+    def episodes(self) -> Iterator[SourceEpisode]:
         """The episodes, with the numbers and splits that they get."""
         for episode in episodes_of_release(self.release, self.numbers.tolist()):
             row = {**episode.row, "stream": self.streams[episode.row["stream"]]}
@@ -105,7 +105,7 @@ def derive(
     return artefacts.build(out, kind="release", config=config, parents=parents, work=work, replace=replace)
 
 
-def _kept(chosen: Sequence[tuple[Release, np.ndarray]]) -> list[Kept]:
+def _kept(chosen: Sequence[tuple[Release, np.ndarray]]) -> list[KeptEpisodes]:
     """Number streams and logs through all releases; a layout that is in val anywhere is in val everywhere."""
     splits: dict[str, Split] = {}
     if chosen[0][0].info["gym_open"]["split_by"] == "world":
@@ -113,7 +113,7 @@ def _kept(chosen: Sequence[tuple[Release, np.ndarray]]) -> list[Kept]:
             for puzzle, split in release.episodes[["puzzle", "split"]].drop_duplicates().itertuples(index=False):
                 splits[puzzle] = "val" if "val" in {split, splits.get(puzzle)} else "train"
     parts = {name for release, _ in chosen for name in release.info["features"] if name.startswith(PART)}
-    found: list[Kept] = []
+    found: list[KeptEpisodes] = []
     streams, logs = 0, 0
     for release, numbers in chosen:
         rows = release.table("streams")
@@ -123,7 +123,7 @@ def _kept(chosen: Sequence[tuple[Release, np.ndarray]]) -> list[Kept]:
         kept = {stream: place for stream, place in every.items() if stream not in left_out}
         order = {place: logs + i for i, place in enumerate(dict.fromkeys(kept.values()))}
         found.append(
-            Kept(
+            KeptEpisodes(
                 release=release,
                 numbers=numbers,
                 streams={stream: streams + i for i, stream in enumerate(kept)},
@@ -146,7 +146,7 @@ def _held(release: Release, places: Sequence[tuple[int, int]], kept: set[tuple[i
 
 
 def _write(
-    config: MergeConfig | FilterConfig, sources: Sequence[Kept], folder: Path, workers: int | None
+    config: MergeConfig | FilterConfig, sources: Sequence[KeptEpisodes], folder: Path, workers: int | None
 ) -> dict[str, Any]:
     """Write data and meta and return the facts."""
     info = sources[0].release.info

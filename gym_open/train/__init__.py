@@ -1,1 +1,1 @@
-"""Stage 3: encoders are learned from a release, policies are fine-tuned from an encoder."""
+"""Stage 3: learn encoders from a release, probe them, and train policies with PPO."""

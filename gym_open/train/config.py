@@ -15,92 +15,92 @@ from gym_open.precision import PrecisionSetting
 
 
 class EncoderTrainConfig(WorldModelSections, frozen=True, kw_only=True):
-    """A world model from a release, off-line; its encoder is what is kept."""
+    """Configuration of off-line training: a world model is learned from a release, and its encoder is kept."""
 
     world_model: WorldModelName = "curl"
-    """What the encoder learns by."""
+    """World model that trains the encoder."""
     updates: PositiveInt = 400
     """Gradient steps."""
     batch_size: PositiveInt = 128
-    """Steps of play a gradient step; in `curl`, all others of a batch are the negatives of each."""
+    """Steps of exploration per gradient step. In `curl`, the negatives of a step are all others of its batch."""
     learning_rate: PositiveFloat = 3e-4
-    """Adam's step size. At 1e-3, what exploration uses, about half of the features die within 400 updates."""
+    """Adam's step size. At 1e-3, the value for exploration, about half of the features die within 400 updates."""
     shift_pad: Count = 4
-    """Largest random shift, in pixels, of the pictures (Kostrikov et al. 2021); 0 for none."""
+    """Largest random shift of the images, in pixels (Kostrikov et al. 2021); 0 for none."""
     report_every: PositiveInt = 100
-    """Updates between two rows of the learning curve; a killed run goes on from the last of them."""
+    """Updates between two rows of the learning curve. A killed run continues from the last row."""
     encoder: EncoderConfig = EncoderConfig()
     """The network."""
     precision: PrecisionSetting = "auto"
     """Arithmetic of the network: `auto` is bf16 on a processor or GPU that multiplies it natively, else fp32. Weights
     stay fp32."""
     device: Device = "cpu"
-    """Where the network is: `cuda` for a GPU, where the last bits of two runs may differ."""
+    """Device of the network: `cpu`, or `cuda` for a GPU, where the last bits of two runs may differ."""
     threads: PositiveInt = 2
-    """Threads; part of the configuration because the number of threads may change the last bits."""
+    """Threads. They are part of the configuration because their number may change the last bits."""
     seed: Seed = 0
     """Root seed."""
 
     def __post_init__(self) -> None:
         if self.encoder.architecture == "state":
-            raise ValueError("`encoder.architecture` 'state' looks at no picture; give cnn or impala")
+            raise ValueError("`encoder.architecture` 'state' takes no images; give cnn or impala")
 
 
 Transfer = Literal["scaled", "weights", "convolutions"]
 
 
 class PolicyTrainConfig(Config, frozen=True, kw_only=True):
-    """PPO on one task, puzzles drawn from its training distribution."""
+    """Configuration of PPO on one task, with puzzles drawn from its training distribution."""
 
     task: Literal["goal-seeking", "preferences", "avoidance", "tool-use"] = "goal-seeking"
-    """What is to be learned."""
+    """Task to learn."""
     steps: PositiveInt = 40_960
-    """Agent steps over all environments, rounded up to whole rollouts."""
+    """Agent steps in all environments together, rounded up to whole rollouts."""
     num_envs: PositiveInt = 32
-    """Environments side by side."""
+    """Environments of the vector environment."""
     num_steps: PositiveInt = 128
     """Steps of each environment in a rollout."""
     mean_images: PositiveInt = 1000
-    """From scratch, the pictures of so many puzzles make the mean picture; an encoder brings its own."""
+    """Number of puzzles whose images are averaged to the mean image. Used from scratch only: an encoder has its own."""
     checkpoints: tuple[PositiveInt, ...] = (200_000, 500_000, 1_000_000)
-    """The policy is kept as it is after so many steps, too, up to whole rollouts: the paper scores these."""
+    """Step numbers, up to whole rollouts, after which the policy is also saved. The paper scores these."""
     agent: AgentNameOrNone = ""
-    """What tables and reports call it; if empty, how it began: `scratch`, `curl+ride`, `curl+ride-offline-curl`."""
+    """Name in tables and reports. If empty, it follows from the start: `scratch`, `curl+ride`, …"""
     encoder: EncoderConfig = EncoderConfig()
-    """The network; must be that of the encoder that training starts from, if any."""
+    """The network. It must be that of the encoder from which training starts, if there is one."""
     transfer: Transfer = "scaled"
-    """What is taken over of an encoder: its `weights` as they are, the same `scaled` so that features are as large as
-    an untrained encoder's, or its `convolutions` alone, under a fresh last layer."""
+    """What a policy takes from an encoder: its `weights` unchanged; `scaled`, the same weights, scaled so that features
+    are as large as those of an untrained encoder; or only its `convolutions`, with a fresh last layer."""
     frozen: bool = False
-    """Leave the encoder as it is and learn the heads alone, from unshifted pictures."""
+    """Keep the encoder unchanged and learn only the heads, from unshifted images."""
     ppo: PPOConfig = PPOConfig()
-    """The learner."""
+    """Settings of PPO."""
     device: Device = "cpu"
-    """Where the network is: `cuda` for a GPU."""
+    """Device of the network: `cpu`, or `cuda` for a GPU."""
     threads: PositiveInt = 2
-    """Threads; part of the configuration because the number of threads may change the last bits."""
+    """Threads. They are part of the configuration because their number may change the last bits."""
     seed: Seed = 0
     """Root seed."""
 
 
 class ProbeConfig(Config, frozen=True, kw_only=True):
-    """Linear probes of an encoder's features: where are things, and what does a move do?"""
+    """Configuration of linear probes: where are the objects, and what does a move do?"""
 
     train_worlds: PositiveInt = 1500
-    """Worlds that the linear maps are fitted to."""
+    """Worlds to which the linear maps are fitted."""
     validation_worlds: PositiveInt = 400
-    """Worlds that choose the strength of their regularisation."""
+    """Worlds on which the strength of regularisation is chosen."""
     test_worlds: PositiveInt = 800
-    """Worlds that score them."""
+    """Worlds on which the maps are scored."""
     moves: PositiveInt = 3
-    """Random moves looked at in each world."""
+    """Random moves per world."""
     ridge: tuple[PositiveFloat, ...] = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)
-    """Strengths to choose from: the penalty on squared weights, where features have mean square length 1."""
+    """Strengths to choose from: penalties on squared weights, for features of mean square length 1."""
     untrained: PositiveInt = 2
-    """Untrained encoders to compare with; one may be .05 of R² above another."""
+    """Number of untrained encoders for comparison. Their R² differs by up to .05."""
     pixels: bool = True
-    """Probe the pixels themselves as well."""
+    """Also probe the pixels themselves."""
     threads: PositiveInt = 2
-    """Threads; part of the configuration because the number of threads may change the last bits."""
+    """Threads. They are part of the configuration because their number may change the last bits."""
     seed: Seed = 0
     """Root seed."""

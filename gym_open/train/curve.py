@@ -1,4 +1,4 @@
-"""Learning curves: the table `curve.json`, and on request TensorBoard's event files, to watch a run as it learns."""
+"""Learning curves: the table `curve.json`, and on request event files for TensorBoard."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -13,7 +13,7 @@ Row = list[float | int | None]
 
 
 def clean(values: Sequence[float]) -> Row:
-    """The values as JSON can hold them: not-a-number becomes null."""
+    """Make values fit for JSON: not-a-number becomes None."""
     return [None if isinstance(value, float) and math.isnan(value) else value for value in values]
 
 
@@ -26,12 +26,12 @@ def save_curve(folder: Path, columns: Sequence[str], rows: Sequence[Row]) -> Non
 
 
 class Board:
-    """Scalars as they come, in event files of a folder; without a folder nothing is written.
+    """Writes scalars to event files in a folder, or nowhere.
 
-    Event files hold times of day, so they never go into an artefact.
+    Event files hold times of day, so they never belong to an artefact.
 
     Args:
-        folder: made if it is missing; None for nothing.
+        folder: is created if it is missing; None writes nothing.
     """
 
     def __init__(self, folder: Path | None) -> None:
@@ -42,7 +42,7 @@ class Board:
             self._writer = SummaryWriter(str(folder))
 
     def row(self, step: int, values: Mapping[str, float | None]) -> None:
-        """Write `values` by name at `step`; what is None, or not a number, is left out."""
+        """Write `values` by name at `step`. A value that is None or not a number is left out."""
         if self._writer is None:
             return
         for name, value in values.items():

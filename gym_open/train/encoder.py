@@ -1,4 +1,4 @@
-"""`gym-open train encoder`: a world model learned off-line from a release, of which the encoder is kept."""
+"""`gym-open train encoder`: learn a world model off-line from a release, and keep its encoder."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -34,30 +34,31 @@ from gym_open.train.curve import Board, Row, clean, save_curve
 
 HELD_OUT_BATCHES = 4
 FIRST_IMAGES = 10_000
-"""At most so many frames, spread over the release, make the mean picture and prime running statistics."""
+"""Largest number of frames, spread over the release, for the mean image and the first running statistics."""
 
 
 def train_encoder(
     config: EncoderTrainConfig, release: Path, out: Path, *, tensorboard: Path | None = None, cache: Path | None = None
 ) -> artefacts.Outcome:
-    """Learn an encoder from the steps of play in `release`.
+    """Learn an encoder from the exploration in `release`.
 
-    It learns from the release's split `train`; `val` is only looked at. Killed, it goes on from the last row of its
-    curve. Payload: `model.safetensors` and `model.json` (the encoder with its mean picture) and `curve.json`, whose
-    columns are `update`, the world model's `loss` and figures as means over the updates since the row before, and the
-    same with `held_out_` over fixed batches of the split `val` (worlds that are not in `train`; null if there is none).
-    CURL's held-out figures are the worse the fewer worlds `val` has: pictures of one world are hard to tell apart.
+    It learns from the split `train` of the release and is only measured on `val`. A killed run continues from the last
+    row of its curve. Payload: `model.safetensors` and `model.json` (the encoder with its mean image) and `curve.json`.
+    The columns of the curve are `update`; the world model's `loss` and figures, as means over the updates since the row
+    before; and the same with `held_out_`, over fixed batches of the split `val` (worlds that are not in `train`; null
+    if there is none). CURL's held-out figures get worse with fewer worlds in `val`, since images of one world are hard
+    to tell apart.
 
     Args:
         config: network, world model, length, seed.
         release: a release artefact.
         out: folder of the encoder.
-        tensorboard: folder for event files of the curve; they hold times of day, so it is not in the artefact.
-        cache: folder that keeps the release's decoded pictures for the next run; by default they go when this one ends.
+        tensorboard: folder for event files of the curve. They hold times of day, so they are not in the artefact.
+        cache: folder that keeps the decoded images of the release for later runs; by default they are deleted.
 
     Raises:
         ArtefactError: if the release is damaged or has too few steps for one batch.
-        ConfigError: if a GPU is asked for and there is none.
+        ConfigError: if the configuration asks for a GPU and there is none.
         DivergedError: if the loss is no longer finite.
     """
     check_device(config.device)
@@ -66,8 +67,8 @@ def train_encoder(
         set_threads(config.threads)
         scratch = partial / artefacts.SCRATCH
         precision = settle(config.precision, config.device, scratch)
-        pictures = Pictures(open_release(release), cache=cache or scratch)  # a resumed run finds them there
-        trainer = _Trainer(structs.replace(config, precision=precision), pictures, scratch / "state.safetensors")
+        pictures = Pictures(open_release(release), cache=cache or scratch)  # where a resumed run finds them
+        trainer = _EncoderTrainer(structs.replace(config, precision=precision), pictures, scratch / "state.safetensors")
         trainer.resume()
         board = Board(tensorboard)
         trainer.run(board)
@@ -85,8 +86,8 @@ def train_encoder(
     return artefacts.build(out, kind="encoder", config=config, parents=[release], work=work)
 
 
-class _Trainer:
-    """The state of one run: everything that a checkpoint holds."""
+class _EncoderTrainer:
+    """The state of one run, which a checkpoint holds in full."""
 
     def __init__(self, config: EncoderTrainConfig, pictures: Pictures, checkpoint: Path) -> None:
         self.config, self.checkpoint = config, checkpoint
@@ -94,7 +95,7 @@ class _Trainer:
         if self.train is None or len(self.train) < config.batch_size:
             raise ArtefactError(
                 f"{pictures.release.root}: split 'train' has {len(self.train or ())} steps, expected at least "
-                f"batch_size = {config.batch_size}; collect more steps or make batch_size smaller"
+                f"batch_size = {config.batch_size}; collect more steps, or give a smaller batch_size"
             )
         init = self._torch_generator("init")
         encoder = Encoder(config.encoder, init)
@@ -116,17 +117,17 @@ class _Trainer:
 
     @property
     def columns(self) -> list[str]:
-        """Of the learning curve."""
+        """Columns of the learning curve."""
         figures = ["loss", *self.model.figures]
         return ["update", *figures, *(f"held_out_{name}" for name in figures)]
 
     @property
     def update(self) -> int:
-        """Gradient steps up to the last row."""
+        """Number of gradient steps at the last row."""
         return int(self.rows[-1][0] or 0) if self.rows else 0
 
     def run(self, board: Board) -> None:
-        """Train to the last update, a checkpoint with every row of the curve."""
+        """Train to the last update, with a checkpoint at every row of the curve."""
         config, since = self.config, torch.zeros(())
         assert self.train is not None
         batches = self.train.batches(
@@ -146,7 +147,7 @@ class _Trainer:
                 bar.advance(0, note=f"loss {learned[0]:.3g} held out {self.rows[-1][1 + len(learned)] or 0:.3g}")
 
     def step(self, batch: Batch, update: int) -> torch.Tensor:
-        """One gradient step; its loss and figures, (1 + figures,) float64.
+        """Take one gradient step; return its loss and figures, (1 + figures,) float64.
 
         Raises:
             DivergedError: if the loss is not finite.
@@ -165,7 +166,7 @@ class _Trainer:
         return figures
 
     def measure(self, batch: Batch, shifts: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
-        """The loss of a batch of steps, and the loss and figures as numbers, (1 + figures,) float64 on the CPU."""
+        """The loss of a batch, for gradients, and loss and figures as numbers, (1 + figures,) float64 on the CPU."""
         images, device = torch.from_numpy(batch[IMAGE]).to(self.config.device), self.config.device
         actions = torch.from_numpy(batch["action.index"][:, 0]).to(device)
         drawn = draw_shifts(len(images), self.config.shift_pad, shifts)
@@ -175,7 +176,7 @@ class _Trainer:
 
     @torch.no_grad()
     def measure_held_out(self) -> list[float]:
-        """Mean loss and figures on the same batches of split `val` each time; not a number if there is none."""
+        """Mean loss and figures on fixed batches of split `val`; not a number if there is none."""
         if self.held_out is None:
             return [float("nan")] * (1 + len(self.model.figures))
         rng, shifts = (
@@ -196,7 +197,7 @@ class _Trainer:
         save_checkpoint(self.checkpoint, tensors, {"rows": self.rows})
 
     def resume(self) -> None:
-        """Go on from the checkpoint if there is one."""
+        """Continue from the checkpoint if there is one."""
         if not self.checkpoint.exists():
             return
         tensors, meta = load_checkpoint(self.checkpoint)
@@ -207,7 +208,7 @@ class _Trainer:
 
 
 def _steps(pictures: Pictures, split: str) -> Windows | None:
-    """Every step of a split: two frames of one episode and the action between them; None if there is none."""
+    """All steps of a split: pairs of frames with the action between them; None if there is none."""
     episodes = pictures.release.episodes
     if not ((episodes["split"] == split) & (episodes["length"] > 1)).any():
         return None

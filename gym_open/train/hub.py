@@ -1,4 +1,4 @@
-"""Encoders on a Hugging Face hub, through `huggingface_hub`'s mixin."""
+"""Send encoders to a Hugging Face hub and load them from one, through the mixin of `huggingface_hub`."""
 
 import shutil
 from collections.abc import Iterator
@@ -33,10 +33,10 @@ class HubEncoder(
 ):
     """An encoder with `save_pretrained`, `from_pretrained` and `push_to_hub`.
 
-    Made of an artefact it takes the whole artefact along, so that what is fetched can still prove where it comes from.
+    An encoder made from an artefact carries the whole artefact, so that a fetched copy can still prove its origin.
 
     Args:
-        encoder: the network; the mixin keeps it in `config.json`.
+        encoder: configuration of the network; the mixin keeps it in `config.json`.
     """
 
     artefact: Path | None = None
@@ -46,7 +46,7 @@ class HubEncoder(
 
     @classmethod
     def of(cls, artefact: Path) -> Self:
-        """The encoder in the folder `artefact`.
+        """Load the encoder from the folder `artefact`.
 
         Raises:
             ArtefactError: if a file is missing or damaged.
@@ -65,7 +65,7 @@ class HubEncoder(
             shutil.copyfile(self.artefact / name, save_directory / name)
 
     @classmethod
-    def _from_pretrained(  # pyright: ignore[reportIncompatibleMethodOverride]  (what is left out makes no difference)
+    def _from_pretrained(  # pyright: ignore[reportIncompatibleMethodOverride]  (the arguments that are left out have no effect)
         cls,
         *,
         model_id: str,
@@ -76,7 +76,7 @@ class HubEncoder(
         token: str | bool | None = None,
         **_: object,
     ) -> Self:
-        """As `load_encoder` has it: every tensor checked, and never a pickle, which the mixin would fall back to."""
+        """Load as `load_encoder` does: check every tensor, and never read a pickle, to which the mixin falls back."""
         folder = Path(model_id)
         if not folder.is_dir():
             fetched = snapshot_download(
@@ -87,7 +87,7 @@ class HubEncoder(
         return cls.of(folder)
 
     def generate_model_card(self, *_: object, repository: str = "OWNER/NAME", **__: object) -> ModelCard:
-        """What the network is, how to use it, and what it was learned from."""
+        """Make a card: the network, how to use it, and the data that it was learned from."""
         lines = ["---", self._hub_mixin_info.model_card_data.to_yaml(), "---", "", *self._described(repository)]
         if self.artefact is not None:
             lines += ["", *_origin(artefacts.digest(self.artefact), artefacts.lineage(self.artefact))]
@@ -96,8 +96,8 @@ class HubEncoder(
     def _described(self, repository: str) -> list[str]:
         config = self.config
         return [
-            "# A picture encoder of gym-open", "",
-            f"Network `{config.architecture}`: 84×84 RGB pictures of OPEn's table to {config.features} features.", "",
+            "# An image encoder of gym-open", "",
+            f"Network `{config.architecture}`: 84×84 RGB images of OPEn's table to {config.features} features.", "",
             "```python", "from gym_open.train.hub import HubEncoder", "",
             f'encoder = HubEncoder.from_pretrained("{repository}")',
             f"features = encoder.encode(images)  # (B, 84, 84, 3) uint8 to (B, {config.features}) float32", "```",
@@ -105,18 +105,18 @@ class HubEncoder(
 
 
 def push_encoder(encoder: Path, repository: str, *, online: bool) -> list[str]:
-    """Send the encoder artefact `encoder`, whole, with a card, to a model repository of a hub.
+    """Send the whole encoder artefact `encoder`, with a card, to a model repository of a hub.
 
-    What is there already is replaced; the repository's history still has it. The hub is the one that HF_ENDPOINT
-    names, or huggingface.co; the token is what `hf auth login` stored, or HF_TOKEN.
+    It replaces the files in the repository; the repository's history keeps them. The hub is the one that HF_ENDPOINT
+    names, or huggingface.co. The token is the one that `hf auth login` stored, or HF_TOKEN.
 
     Args:
-        encoder: an encoder artefact; every byte is checked first.
-        repository: OWNER/NAME, made if it is missing.
-        online: without it nothing touches a network.
+        encoder: an encoder artefact. Every byte of it is checked first.
+        repository: OWNER/NAME; it is created if it is missing.
+        online: use the network. Without it nothing is sent.
 
     Returns:
-        What was sent, or would be, line by line.
+        The files that were sent, or would be sent, one per line.
 
     Raises:
         ArtefactError: if the encoder is damaged.
@@ -135,7 +135,12 @@ def push_encoder(encoder: Path, repository: str, *, online: bool) -> list[str]:
                 repository, commit_message=f"Encoder {digest[:16]}", model_card_kwargs={"repository": repository},
                 delete_patterns="*",
             )  # fmt: skip
-        except (OSError, RuntimeError, ValueError, LocalEntryNotFoundError) as error:  # the client's errors are these
+        except (
+            OSError,
+            RuntimeError,
+            ValueError,
+            LocalEntryNotFoundError,
+        ) as error:  # the errors that the client raises
             raise GymOpenError(
                 f"{repository}: nothing was pushed ({type(error).__name__}: {str(error)[:300]}); check the name and "
                 "the network, log in with `hf auth login`, and run the same command again"
@@ -166,13 +171,13 @@ def _origin(digest: str, lineage: Lineage) -> Iterator[str]:
     yield "## Where it comes from"
     yield ""
     model, updates, frames = (printable(str(lineage.facts.get(name))) for name in ("world_model", "updates", "frames"))
-    yield f"Learned off-line by `{model}`: {updates} updates, on {frames} frames."
+    yield f"Learned off-line by `{model}`: {updates} updates on {frames} frames."
     yield ""
     yield f"- encoder `{digest}`, code `{printable(lineage.code)}`"
     yield from _chain(lineage, 1)
     yield ""
-    yield "All files but this one and the hub's own make an artefact that gym-open verifies and trains policies from."
-    yield "Its `lineage.json` names every puzzle that was played for it."
+    yield "All files except this one and the hub's own form an artefact, from which gym-open trains policies."
+    yield "Its `lineage.json` names every puzzle that was explored for it."
 
 
 def _chain(lineage: Lineage, depth: int) -> Iterator[str]:

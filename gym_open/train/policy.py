@@ -38,14 +38,15 @@ from gym_open.hardware import check_device, hardware
 from gym_open.precision import settle
 from gym_open.train.config import PolicyTrainConfig
 from gym_open.train.curve import Board, Row, clean, save_curve
-from gym_open.train.tables import Episode, Tables
+from gym_open.train.environments import FinishedEpisode, TrainingEnvironments
 from gym_open.train.transfer import take_over
 
 COLUMNS = (
     "step", "episodes", "mean_return", "success", "mean_length", "entropy", "approx_kl", "clip_fraction",
     "explained_variance", "policy_loss", "value_loss", "learning_rate",
 )  # fmt: skip
-"""Of curve.json, a row an update: means over the episodes that ended in its rollout (null if none did), then PPO's."""
+"""Columns of curve.json, which has one row per update: means over the episodes that ended in the rollout (null if none
+did), then PPO's metrics."""
 
 
 def train_policy(
@@ -53,33 +54,33 @@ def train_policy(
 ) -> artefacts.Outcome:
     """Train a policy with PPO on puzzles drawn from the training distribution of `config.task`.
 
-    Payload: `model.safetensors` and `model.json` (encoder, policy head, value head), `curve.json`, and the policy as it
-    was at each of `config.checkpoints`, in `checkpoints/<step>/`. Killed, it goes on from the last finished update.
+    Payload: `model.safetensors` and `model.json` (encoder, policy head, value head), `curve.json`, and the policy at
+    each of `config.checkpoints`, in `checkpoints/<step>/`. A killed run continues from the last finished update.
 
     Args:
         config: task, length, learner, seed.
-        encoder: what to start from: an encoder artefact, or a log whose explorer's own encoder is taken; None to start
+        encoder: the encoder to start from: an encoder artefact, or a log with the encoder of its explorer. None starts
             from scratch.
         out: folder of the policy.
-        tensorboard: folder for TensorBoard's event files, which are no part of the artefact.
+        tensorboard: folder for TensorBoard's event files, which do not belong to the artefact.
 
     Raises:
-        ArtefactError: if the encoder is damaged, or is another network than `config.encoder`; nothing was started then.
-        ConfigError: if a frozen encoder, or a GPU, is asked for and there is none.
+        ArtefactError: if the encoder is damaged, or its network is not `config.encoder`. Nothing was started then.
+        ConfigError: if the configuration asks for a frozen encoder or a GPU, and there is none.
         DivergedError: if the loss is no longer finite.
     """
     check_device(config.device)
     if encoder is not None:
         check_architecture(config, encoder)
     elif config.frozen:
-        raise ConfigError("frozen: true, but there is no encoder to leave as it is; give --encoder, or false")
+        raise ConfigError("frozen: true, but there is no encoder to keep unchanged; give --encoder, or false")
 
     def work(partial: Path) -> Mapping[str, Any]:
         set_threads(config.threads)
         precision = settle(config.ppo.precision, config.device, partial / artefacts.SCRATCH)
         settled = structs.replace(config, ppo=structs.replace(config.ppo, precision=precision))
         with progress.doing("preparing the puzzles", progress.COMPILES):
-            trainer = _Trainer(settled, encoder, partial)
+            trainer = _PolicyTrainer(settled, encoder, partial)
         trainer.resume()
         trainer.run(tensorboard)
         save_policy(partial, trainer.agent)
@@ -90,7 +91,7 @@ def train_policy(
     return artefacts.build(out, kind="policy", config=config, parents=parents, work=work)
 
 
-def _facts(config: PolicyTrainConfig, encoder: Path | None, trainer: "_Trainer") -> Mapping[str, Any]:
+def _facts(config: PolicyTrainConfig, encoder: Path | None, trainer: "_PolicyTrainer") -> Mapping[str, Any]:
     kinds = {None: "none", "encoder": "offline", "log": "online"}
     lineage = None if encoder is None else artefacts.lineage(encoder)
     return {
@@ -109,10 +110,11 @@ def _facts(config: PolicyTrainConfig, encoder: Path | None, trainer: "_Trainer")
 
 
 def _name(config: PolicyTrainConfig, lineage: artefacts.Lineage | None) -> str:
-    """What an agent is called that was not given a name: how it began, and what is not as it is by default.
+    """Name of an agent without a given name: where it started, and what differs from the defaults.
 
-    From scratch `scratch` or `state`, by what it sees; from an explorer's own encoder the explorer's name, `curl+ride`;
-    from one trained off-line `curl+ride-offline-curl`. Such a name can be given with `--agent`, too.
+    From scratch it is `scratch` or `state`, by its observations. From an explorer's own encoder it is the explorer's
+    name, `curl+ride`. From an encoder that was trained off-line it is `curl+ride-offline-curl`. `--agent` also accepts
+    such names.
     """
     architecture = config.encoder.architecture
     if lineage is None:
@@ -137,7 +139,7 @@ def _explorers(lineage: artefacts.Lineage) -> set[str]:
 
 
 def check_architecture(config: PolicyTrainConfig, encoder: Path) -> None:
-    """Raise ArtefactError unless `encoder` holds the network that the configuration asks for."""
+    """Raise ArtefactError unless the network in `encoder` is the one in the configuration."""
     artefacts.digest(encoder)  # raises if there is none
     kind = artefacts.lineage(encoder).kind
     if kind not in {"encoder", "log"}:
@@ -151,19 +153,19 @@ def check_architecture(config: PolicyTrainConfig, encoder: Path) -> None:
                 f"{folder / ARCHITECTURE}: `encoder.{name}` is {found[name]}, but the policy's configuration says "
                 f"{expected}; set `encoder.{name}` to match, or give another encoder"
             )
-    load_encoder(encoder)  # every tensor has the shape that its architecture says
+    load_encoder(encoder)  # checks that every tensor has the shape that its architecture gives
 
 
-def first_pictures(config: PolicyTrainConfig) -> torch.Tensor:
-    """Pictures of `config.mean_images` fresh training puzzles, (n, 84, 84, 3) uint8."""
+def first_images(config: PolicyTrainConfig) -> torch.Tensor:
+    """First images of `config.mean_images` new training puzzles, (n, 84, 84, 3) uint8."""
     env = OpenEnv(config.task)
     seed = seeding.integer(config.seed, "policy", "mean picture")
-    pictures = [env.reset(seed=seed if i == 0 else None)[0] for i in range(config.mean_images)]
-    return torch.from_numpy(np.stack(pictures))
+    images = [env.reset(seed=seed if i == 0 else None)[0] for i in range(config.mean_images)]
+    return torch.from_numpy(np.stack(images))
 
 
-class _Trainer:
-    """The state of one run: everything that a checkpoint holds."""
+class _PolicyTrainer:
+    """The state of one run, which a checkpoint holds in full."""
 
     def __init__(self, config: PolicyTrainConfig, encoder: Path | None, folder: Path) -> None:
         self.config = config
@@ -176,7 +178,9 @@ class _Trainer:
         self.optimizer = torch.optim.Adam(learned, lr=config.ppo.learning_rate, eps=1e-5, fused=True)
         self.acting, self.updating = self._torch_generator("actions"), self._torch_generator("update")
         states = isinstance(network, StateEncoder)
-        self.tables = Tables(config.task, config.num_envs, config.seed, states=states, threads=config.threads)
+        self.environments = TrainingEnvironments(
+            config.task, config.num_envs, config.seed, states=states, threads=config.threads
+        )
         self.rows: list[Row] = []
         self.checkpoints: list[dict[str, int]] = []
         self.batch_size = config.num_envs * config.num_steps
@@ -188,23 +192,23 @@ class _Trainer:
     def _encoder(self, artefact: Path | None) -> Encoder | StateEncoder:
         if artefact is not None:
             taught = load_encoder(artefact)
-            take_over(taught, self.config.transfer, first_pictures(self.config), self._torch_generator("encoder"))
+            take_over(taught, self.config.transfer, first_images(self.config), self._torch_generator("encoder"))
             return taught
         encoder = make_encoder(self.config.encoder, self._torch_generator("encoder"))
         if isinstance(encoder, Encoder) and self.config.encoder.centre:
-            encoder.set_mean_image(first_pictures(self.config))
+            encoder.set_mean_image(first_images(self.config))
         return encoder
 
     @property
     def step(self) -> int:
-        """Agent steps so far, over all environments."""
+        """Agent steps so far, in all environments together."""
         return len(self.rows) * self.batch_size
 
     def run(self, tensorboard: Path | None) -> None:
-        """Train to the last update, and save after each.
+        """Train to the last update, and save after each update.
 
         Raises:
-            DivergedError: naming the update and what to change.
+            DivergedError: if the loss is no longer finite, naming the update and the remedy.
         """
         ppo, board = self.config.ppo, Board(tensorboard)
         with progress.bar("train policy", self.num_updates * self.batch_size, done=self.step) as bar:
@@ -226,20 +230,20 @@ class _Trainer:
         board.close()
 
     @torch.no_grad()
-    def collect(self, bar: progress.Bar) -> tuple[Rollout, list[Episode]]:
+    def collect(self, bar: progress.Bar) -> tuple[Rollout, list[FinishedEpisode]]:
         """Act for `num_steps` in every environment."""
-        config, agent, tables, device = self.config, self.agent, self.tables, self.config.device
+        config, agent, environments, device = self.config, self.agent, self.environments, self.config.device
         rollout = Rollout.empty(config.num_steps, config.num_envs, agent.obs_shape, agent.obs_dtype, device)
         last_seen: dict[tuple[int, int], np.ndarray] = {}
-        episodes: list[Episode] = []
+        episodes: list[FinishedEpisode] = []
         with autocast(config.ppo.precision, device):
             for t in range(config.num_steps):
-                rollout.obs[t] = agent.observe(torch.from_numpy(tables.seen).to(device))
+                rollout.obs[t] = agent.observe(torch.from_numpy(environments.seen).to(device))
                 action, logprob, _, value = agent.get_action_and_value(
                     agent.prepare(rollout.obs[t]), generator=self.acting
                 )
                 rollout.actions[t], rollout.logprobs[t], rollout.values[t] = action, logprob, value
-                after = tables.step(action.cpu().numpy())
+                after = environments.step(action.cpu().numpy())
                 rollout.rewards[t] = torch.from_numpy(after.rewards)
                 rollout.terminations[t] = torch.from_numpy(after.terminations)
                 rollout.truncations[t] = torch.from_numpy(after.truncations)
@@ -247,8 +251,8 @@ class _Trainer:
                 episodes += after.episodes
                 bar.advance(config.num_envs)
             rollout.next_values[:-1] = rollout.values[1:]
-            rollout.next_values[-1] = self._values(tables.seen)
-            if last_seen:  # a truncated episode is worth what its own last observation promises
+            rollout.next_values[-1] = self._values(environments.seen)
+            if last_seen:  # the value after a truncated episode is that of its own last observation
                 times, envs = (list(index) for index in zip(*last_seen, strict=True))
                 rollout.next_values[times, envs] = self._values(np.stack(list(last_seen.values())))
         return rollout, episodes
@@ -258,8 +262,8 @@ class _Trainer:
             self.agent.prepare(self.agent.observe(torch.from_numpy(seen).to(self.config.device)))
         )
 
-    def row(self, episodes: list[Episode], stats: PPOStats) -> Row:
-        """The row of curve.json for the update that was just made."""
+    def row(self, episodes: list[FinishedEpisode], stats: PPOStats) -> Row:
+        """The row of curve.json for the latest update."""
         return clean(
             [
                 self.step + self.batch_size, len(episodes), _mean([e.total for e in episodes]),
@@ -270,7 +274,7 @@ class _Trainer:
         )  # fmt: skip
 
     def save(self) -> None:
-        """Keep the policy if a checkpoint was asked for here, and write what a resumed run goes on from."""
+        """Save the policy if a checkpoint is due, and write all that a resumed run needs."""
         for asked in self.config.checkpoints:
             if self.step - self.batch_size < asked <= self.step:
                 self.checkpoints.append({"asked": asked, "step": self.step})
@@ -281,11 +285,11 @@ class _Trainer:
             "acting": self.acting.get_state(),
             "updating": self.updating.get_state(),
         }
-        meta = {"rows": self.rows, "checkpoints": self.checkpoints, "tables": self.tables.state()}
+        meta = {"rows": self.rows, "checkpoints": self.checkpoints, "tables": self.environments.state()}
         save_checkpoint(self.saved, tensors, meta)
 
     def resume(self) -> None:
-        """Go on from the checkpoint if there is one."""
+        """Continue from the checkpoint if there is one."""
         if not self.saved.exists():
             return
         tensors, meta = load_checkpoint(self.saved)
@@ -294,7 +298,7 @@ class _Trainer:
         self.acting.set_state(tensors["acting"])
         self.updating.set_state(tensors["updating"])
         self.rows, self.checkpoints = meta["rows"], meta["checkpoints"]
-        self.tables.restore(meta["tables"])
+        self.environments.restore(meta["tables"])
 
 
 def _mean(values: list[float]) -> float:

@@ -1,4 +1,4 @@
-"""What a policy takes over of an encoder that something else than a task has taught."""
+"""Prepare an encoder that was learned without a task, so that a policy can start from it."""
 
 import torch
 from torch import Tensor, nn
@@ -8,20 +8,20 @@ from gym_open.train.config import Transfer
 
 
 def take_over(encoder: Encoder, how: Transfer, images: Tensor, generator: torch.Generator) -> None:
-    """Change an encoder in place as `how` says.
+    """Change an encoder in place, as `how` says.
 
-    - `weights`: nothing is changed.
-    - `scaled`: its last layer is multiplied by one number, so that features of `images` have the root mean square that
-      an untrained encoder's have. Before a ReLU that changes the features' scale and nothing else. World models leave
-      that scale free (normalised latents, a free bilinear form), and it grows to several times what the heads, the clip
-      on values and the limit on the gradient's norm are made for.
-    - `convolutions`: its last layer is drawn afresh, and scaled likewise, since what comes up to it has grown, too.
+    - `weights`: nothing changes.
+    - `scaled`: its last layer is multiplied by one number, so that features of `images` have the same root mean square
+      as those of an untrained encoder. Before a ReLU this changes only the scale of the features. World models
+      leave that scale free (normalised latents, a free bilinear form). It grows to several times the scale for which
+      the heads, the clipping of values and the limit on the gradient norm are made.
+    - `convolutions`: its last layer is drawn anew and scaled in the same way, since its inputs have grown too.
 
     Args:
-        encoder: with its own mean picture.
+        encoder: an encoder with its own mean image.
         how: see above.
-        images: of the task, (N, 84, 84, 3) uint8.
-        generator: source of fresh weights.
+        images: images of the task, (N, 84, 84, 3) uint8.
+        generator: source of new weights.
     """
     if how == "weights":
         return

@@ -188,8 +188,8 @@ def test_of_a_version_that_lies_nothing_is_kept(first: Release, logs: list[Path]
 def test_play_that_is_there_under_another_digest_is_refused(first: Release, make_log: MakeLog, tmp_path: Path) -> None:
     """The default log once more, by another threshold: another digest, the same steps."""
     same = make_log(threshold=0.5)
-    with pytest.raises(UsageError, match="begins with the very steps of"):
+    with pytest.raises(UsageError, match="begins with the same steps as"):
         build_release(SECOND, [same], tmp_path / "r", previous=first.root, append=True)
-    with pytest.raises(UsageError, match="begins with the very steps of"):
+    with pytest.raises(UsageError, match="begins with the same steps as"):
         build_release(FIRST, [make_log(), same], tmp_path / "r")
     assert not (tmp_path / "r").exists()

@@ -20,7 +20,7 @@ from gym_open.datasets.config import FilterConfig, MergeConfig, ReleaseConfig
 from gym_open.datasets.filter import filter_release
 from gym_open.datasets.merge import merge_releases
 from gym_open.datasets.writing.prepare import Prepared, prepare
-from gym_open.datasets.writing.sources import Episode
+from gym_open.datasets.writing.sources import SourceEpisode
 from gym_open.errors import ArtefactError, ConfigError, UsageError
 from gym_open.formats.logs.reader import log_files, open_logs
 from gym_open.formats.logs.schemas import Segment
@@ -213,7 +213,7 @@ def test_episodes_that_are_done_in_another_order_give_the_same_bytes(
     order: list[int] = []
     another_is_done = threading.Event()
 
-    def first_after_another(episode: Episode, *, video: bool) -> Prepared:
+    def first_after_another(episode: SourceEpisode, *, video: bool) -> Prepared:
         made, first_step = prepare(episode), episode.row["first_step"]
         if first_step == 0:
             another_is_done.wait()

@@ -17,7 +17,7 @@ from gym_open.envs.puzzles import TASKS, Puzzle, Task, generators
 from gym_open.envs.puzzles.sets import puzzle_by_id, puzzles_of, reserved_digests
 from gym_open.evaluate.proof import oracle_proof, task_free_proof
 from gym_open.formats.scores import Proof
-from gym_open.train.tables import Tables
+from gym_open.train.environments import TrainingEnvironments
 
 CLEAN = {"task": "sandbox", "extrinsic_reward": False, "puzzles": ["0" * 64]}
 MODEL = ("model.safetensors", "model.json", "curve.json")
@@ -346,7 +346,7 @@ def test_training_never_sees_an_evaluation_puzzle(task: Task, monkeypatch: pytes
 
     monkeypatch.setattr(generators, "draw_layout", draw_layout)
     monkeypatch.setattr(OpenEnv, "_load", watched)
-    Tables(task, 8, seed=3)
+    TrainingEnvironments(task, 8, seed=3)
     assert sum(puzzle.digest in reserved_digests() for puzzle in drawn) == 8
     assert len(seen) == 8
     assert seen.isdisjoint(reserved_digests())

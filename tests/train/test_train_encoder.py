@@ -22,7 +22,7 @@ from gym_open.formats.releases import open_release
 from gym_open.formats.windows import Pictures
 from gym_open.train.config import EncoderTrainConfig
 from gym_open.train.curve import Board
-from gym_open.train.encoder import _Trainer, train_encoder
+from gym_open.train.encoder import _EncoderTrainer, train_encoder
 from tests.children import killed_at
 
 pytestmark = pytest.mark.learning
@@ -91,7 +91,7 @@ def test_looking_at_held_out_steps_changes_nothing(release: Path, tmp_path: Path
 
 
 def test_the_network_that_makes_curls_keys_follows(release: Path, tmp_path: Path) -> None:
-    trainer = _Trainer(TINY, Pictures(open_release(release), cache=tmp_path), tmp_path / "state")
+    trainer = _EncoderTrainer(TINY, Pictures(open_release(release), cache=tmp_path), tmp_path / "state")
     model = trainer.model
     assert isinstance(model, Curl)
     before = [parameter.clone() for parameter in model.key.parameters()]

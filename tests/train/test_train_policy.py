@@ -22,8 +22,8 @@ from gym_open.precision import native_precision
 from gym_open.progress import bar
 from gym_open.train.config import EncoderTrainConfig, PolicyTrainConfig
 from gym_open.train.encoder import train_encoder
-from gym_open.train.policy import COLUMNS, _Trainer, train_policy
-from gym_open.train.tables import Tables
+from gym_open.train.environments import TrainingEnvironments
+from gym_open.train.policy import COLUMNS, _PolicyTrainer, train_policy
 from tests.children import killed_at
 
 pytestmark = pytest.mark.learning
@@ -76,7 +76,7 @@ def test_checkpoints_are_the_policy_as_it_was_then(tmp_path: Path) -> None:
 
 def test_state_in_place_of_pictures(tmp_path: Path) -> None:
     config = msgspec.structs.replace(TINY, encoder=EncoderConfig(architecture="state", features=8))
-    trainer = _Trainer(config, None, tmp_path)
+    trainer = _PolicyTrainer(config, None, tmp_path)
     with bar("test", 1) as shown:
         rollout, _ = trainer.collect(shown)
     env = OpenEnv("goal-seeking")
@@ -92,7 +92,7 @@ def test_a_frozen_encoder_stays_and_its_features_are_what_is_learned_from(encode
     path = train_policy(config, encoder, tmp_path / "p").path
     start, after = load_encoder(encoder), load_policy(path)
     assert all(torch.equal(a, b) for a, b in zip(after.encoder.parameters(), start.parameters(), strict=True))
-    untrained = _Trainer(config, encoder, tmp_path / "none").agent
+    untrained = _PolicyTrainer(config, encoder, tmp_path / "none").agent
     assert not torch.equal(after.actor.weight, untrained.actor.weight)
     assert not any(parameter.requires_grad for parameter in untrained.encoder.parameters())
     assert artefacts.lineage(path).facts["frozen"] is True
@@ -181,7 +181,7 @@ def test_annealing_ends_near_zero(tmp_path: Path) -> None:
 def test_rollout_is_what_the_environments_did(tmp_path: Path) -> None:
     """Play the recorded actions again in plain environments; no-ops only, so that episodes reach their budget."""
     config = msgspec.structs.replace(TINY, num_steps=103, ppo=PPOConfig(precision="fp32"))
-    trainer = _Trainer(config, None, tmp_path / "none")
+    trainer = _PolicyTrainer(config, None, tmp_path / "none")
     with torch.no_grad():
         trainer.agent.actor.bias[0] = 100.0
     with bar("test", 1) as shown:
@@ -209,37 +209,41 @@ def test_rollout_is_what_the_environments_did(tmp_path: Path) -> None:
 
 
 def test_what_a_rollout_goes_on_with_is_seen_after_its_last_step(tmp_path: Path) -> None:
-    trainer = _Trainer(msgspec.structs.replace(TINY, ppo=PPOConfig(precision="fp32")), None, tmp_path / "none")
+    trainer = _PolicyTrainer(msgspec.structs.replace(TINY, ppo=PPOConfig(precision="fp32")), None, tmp_path / "none")
     with torch.no_grad():
         trainer.agent.actor.bias[0] = -100.0  # nothing stands still
     with bar("test", 1) as shown:
         rollout, _ = trainer.collect(shown)
     with torch.no_grad():
-        after = trainer.agent.get_value(trainer.agent.encoder.prepare(torch.from_numpy(trainer.tables.seen)))
+        after = trainer.agent.get_value(trainer.agent.encoder.prepare(torch.from_numpy(trainer.environments.seen)))
     torch.testing.assert_close(rollout.next_values[-1], after)
     assert not torch.isclose(rollout.values[-1], after).any()
 
 
-def random_play(tables: Tables, steps: int) -> list[object]:
+def random_play(environments: TrainingEnvironments, steps: int) -> list[object]:
     rng, seen = np.random.default_rng(0), []
     for _ in range(steps):
-        after = tables.step(rng.integers(9, size=2))
-        seen += [after.rewards.tolist(), after.truncations.tolist(), after.episodes, tables.seen.tobytes()]
+        after = environments.step(rng.integers(9, size=2))
+        seen += [after.rewards.tolist(), after.truncations.tolist(), after.episodes, environments.seen.tobytes()]
     return seen
 
 
 def test_tables_go_on_from_a_snapshot_bit_for_bit() -> None:
-    tables = Tables("goal-seeking", 2, seed=0)
-    random_play(tables, 60)
-    state = json.loads(json.dumps(tables.state()))
-    expected = random_play(tables, 60)  # over the end of both episodes
-    other = Tables("goal-seeking", 2, seed=5)
+    environments = TrainingEnvironments("goal-seeking", 2, seed=0)
+    random_play(environments, 60)
+    state = json.loads(json.dumps(environments.state()))
+    expected = random_play(environments, 60)  # over the end of both episodes
+    other = TrainingEnvironments("goal-seeking", 2, seed=5)
     other.restore(state)
     assert random_play(other, 60) == expected
 
 
 def test_environments_differ_and_follow_the_seed() -> None:
-    a, b, c = Tables("goal-seeking", 2, seed=0), Tables("goal-seeking", 2, seed=0), Tables("goal-seeking", 2, seed=1)
+    a, b, c = (
+        TrainingEnvironments("goal-seeking", 2, seed=0),
+        TrainingEnvironments("goal-seeking", 2, seed=0),
+        TrainingEnvironments("goal-seeking", 2, seed=1),
+    )
     assert np.array_equal(a.seen, b.seen)
     assert not np.array_equal(a.seen[0], a.seen[1])
     assert not np.array_equal(a.seen, c.seen)
@@ -247,9 +251,9 @@ def test_environments_differ_and_follow_the_seed() -> None:
 
 def test_success_is_all_goals_hit() -> None:
     """Avoidance ends in the danger patch, too: that is no success, whatever was paid before."""
-    tables = Tables("avoidance", 8, seed=0)
+    environments = TrainingEnvironments("avoidance", 8, seed=0)
     rng = np.random.default_rng(0)
-    episodes = [e for _ in range(150) for e in tables.step(rng.integers(9, size=8)).episodes]
+    episodes = [e for _ in range(150) for e in environments.step(rng.integers(9, size=8)).episodes]
     assert any(e.success for e in episodes)
     assert any(not e.success and e.length < 100 for e in episodes)
     most = max(e.total for e in episodes)

@@ -4,7 +4,7 @@ import functools
 from typing import TYPE_CHECKING
 
 from gym_open.datasets.config import Header
-from gym_open.datasets.documents.facts import Facts
+from gym_open.datasets.documents.facts import ReleaseFacts
 from gym_open.formats.releases.features import ACTION_NAMES, fps
 from gym_open.formats.releases.layout import PART
 from gym_open.markdown import cell
@@ -42,7 +42,7 @@ MEANINGS = {
 """What features are."""
 
 
-def description(facts: Facts) -> str:
+def description(facts: ReleaseFacts) -> str:
     """A sentence or two on what the release is."""
     release = facts.release
     return (
@@ -53,7 +53,7 @@ def description(facts: Facts) -> str:
     )
 
 
-def card(header: Header, facts: Facts) -> str:
+def card(header: Header, facts: ReleaseFacts) -> str:
     """Text of the card."""
     release = facts.release
     return _template().render(

@@ -31,7 +31,7 @@ LEARNING = ("reward.intrinsic", "world_model.loss", "policy.entropy", "policy.va
 
 
 @dataclass(frozen=True)
-class Range:
+class ValueRange:
     """Where the finite values of a feature lie."""
 
     finite: float
@@ -43,7 +43,7 @@ class Range:
 
 
 @dataclass
-class Played:
+class ExplorerFacts:
     """What one explorer did."""
 
     explorer: str
@@ -62,7 +62,7 @@ class Played:
     """Steps in which the agent touched something."""
     visits: np.ndarray = field(default_factory=lambda: np.zeros((len(Y_EDGES) - 1, len(X_EDGES) - 1), dtype=np.int64))
     """Frames in each square (from −y to +y, from −x to +x)."""
-    ranges: dict[str, Range] = field(default_factory=dict)
+    ranges: dict[str, ValueRange] = field(default_factory=dict)
     """Of what the explorer thought of its steps, by feature."""
 
     def share(self, steps: int) -> float:
@@ -103,11 +103,11 @@ class SplitFacts:
 
 
 @dataclass(frozen=True)
-class Facts:
+class ReleaseFacts:
     """All of it."""
 
     release: Release
-    played: list[Played]
+    explorers: list[ExplorerFacts]
     """By explorer, in order of their names."""
     logs: list[LogFacts]
     splits: dict[str, SplitFacts]
@@ -116,15 +116,15 @@ class Facts:
     @property
     def steps(self) -> int:
         """Actions in all."""
-        return sum(one.steps for one in self.played)
+        return sum(one.steps for one in self.explorers)
 
     @property
     def ended(self) -> Counter[str]:
         """Why episodes ended."""
-        return sum((one.ended for one in self.played), Counter[str]())
+        return sum((one.ended for one in self.explorers), Counter[str]())
 
 
-def gather(release: Release) -> Facts:
+def gather(release: Release) -> ReleaseFacts:
     """Count what is in a release, sealed or just before it is.
 
     Raises:
@@ -137,11 +137,11 @@ def gather(release: Release) -> Facts:
     _read_frames(release, played, owner)
     splits = {name: _split(episodes[episodes["split"] == name]) for name in SPLITS}
     size = sum(path.stat().st_size for folder in ("data", "videos") for path in (release.root / folder).rglob("*.*"))
-    return Facts(release, played, list(_logs(release)), splits, size)
+    return ReleaseFacts(release, played, list(_logs(release)), splits, size)
 
 
-def _episodes_of(explorer: str, rows: "pd.DataFrame") -> Played:
-    return Played(
+def _episodes_of(explorer: str, rows: "pd.DataFrame") -> ExplorerFacts:
+    return ExplorerFacts(
         explorer=explorer,
         episodes=len(rows),
         frames=int(rows["length"].sum()),
@@ -163,7 +163,7 @@ def _split(rows: "pd.DataFrame") -> SplitFacts:
     )
 
 
-def _read_frames(release: Release, played: list[Played], owner: np.ndarray) -> None:
+def _read_frames(release: Release, played: list[ExplorerFacts], owner: np.ndarray) -> None:
     """Fill in what frames say; `owner` is the number in `played` of each episode's explorer."""
     thought = [*LEARNING, *sorted(name for name in release.info["features"] if name.startswith(PART))]
     columns = ["episode_index", "action.index", "contact.agent", "transition.valid", "observation.state", *thought]
@@ -187,12 +187,12 @@ def _read_frames(release: Release, played: list[Played], owner: np.ndarray) -> N
         one.ranges = {name: _range(np.concatenate(parts)) for name, parts in found.items()}
 
 
-def _range(values: np.ndarray) -> Range:
+def _range(values: np.ndarray) -> ValueRange:
     finite = values[np.isfinite(values)].astype(np.float64)
     if not finite.size:
-        return Range(0.0, np.nan, np.nan, np.nan, np.nan)
+        return ValueRange(0.0, np.nan, np.nan, np.nan, np.nan)
     share = finite.size / values.size
-    return Range(share, finite.min(), float(np.median(finite)), finite.mean(), finite.max())
+    return ValueRange(share, finite.min(), float(np.median(finite)), finite.mean(), finite.max())
 
 
 def _logs(release: Release) -> Iterator[LogFacts]:

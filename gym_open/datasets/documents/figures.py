@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gym_open.datasets.documents.facts import X_EDGES, Y_EDGES, Facts, Played
+from gym_open.datasets.documents.facts import X_EDGES, Y_EDGES, ExplorerFacts, ReleaseFacts
 from gym_open.envs.constants import IMAGE_SIZE
 from gym_open.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, YELLOW, draw_coverage, plain_style, png
 from gym_open.terminal import printable
@@ -31,9 +31,9 @@ _COLUMNS, _ZOOM, _GAP, _LABEL, _HEAD = 6, 2, 4, 110, 24
 """Contact sheet: pictures a row, size of a pixel, and margins in pixels."""
 
 
-def draw(facts: Facts) -> dict[str, bytes]:
+def draw(facts: ReleaseFacts) -> dict[str, bytes]:
     """PNG files by name."""
-    drawn: dict[str, Callable[[Facts], Figure]] = {
+    drawn: dict[str, Callable[[ReleaseFacts], Figure]] = {
         "frames": _contact_sheet, "coverage": _coverage, "actions": _actions, "episodes": _episodes,
     }  # fmt: skip
     with plain_style():
@@ -44,11 +44,11 @@ def _name(explorer: str) -> str:
     return printable(explorer).replace("\n", " ")[:24]
 
 
-def _contact_sheet(facts: Facts) -> "Figure":
+def _contact_sheet(facts: ReleaseFacts) -> "Figure":
     """A row an explorer: frames from its worlds, spread over what it did there."""
     from matplotlib.figure import Figure
 
-    shown = facts.played[:_SHOWN]
+    shown = facts.explorers[:_SHOWN]
     episodes = facts.release.episodes
     picks = [_pick(episodes[episodes["explorer"] == one.explorer]) for one in shown]
     pictures = facts.release.images(np.concatenate([numbers for numbers, _ in picks]))
@@ -83,12 +83,12 @@ def _pick(rows: "pd.DataFrame") -> tuple[np.ndarray, list[str]]:
     return np.array(numbers, dtype=np.int64), chosen
 
 
-def _coverage(facts: Facts) -> "Figure":
+def _coverage(facts: ReleaseFacts) -> "Figure":
     """Where the agent was, an explorer a panel, on one scale."""
     from matplotlib.colors import LogNorm
     from matplotlib.figure import Figure
 
-    shown = facts.played[:_SHOWN]
+    shown = facts.explorers[:_SHOWN]
     columns = min(len(shown), 4)
     rows = -(-len(shown) // columns)
     figure = Figure(figsize=(max(2.4 * columns, 3.6) + 1, 3.9 * rows + 0.4), dpi=100, layout="constrained")
@@ -111,17 +111,17 @@ def _coverage(facts: Facts) -> "Figure":
     return figure
 
 
-def _rows(axes: "Axes", shown: Sequence[Played]) -> None:
+def _rows(axes: "Axes", shown: Sequence[ExplorerFacts]) -> None:
     """One row an explorer, from the top."""
     axes.set_yticks(range(len(shown)), [_name(one.explorer) for one in shown])
     axes.set_ylim(len(shown) - 0.5, -0.5)
 
 
-def _actions(facts: Facts) -> "Figure":
+def _actions(facts: ReleaseFacts) -> "Figure":
     """How often each action was taken, and how often something was touched."""
     from matplotlib.figure import Figure
 
-    shown = facts.played[:_SHOWN]
+    shown = facts.explorers[:_SHOWN]
     figure = Figure(figsize=(11.5, 1.6 + 0.5 * len(shown)), dpi=100, layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(2.2, 1))
     shares = np.array([one.actions / max(one.actions.sum(), 1) for one in shown])
@@ -142,11 +142,11 @@ def _actions(facts: Facts) -> "Figure":
     return figure
 
 
-def _episodes(facts: Facts) -> "Figure":
+def _episodes(facts: ReleaseFacts) -> "Figure":
     """Why episodes ended, and how long they were."""
     from matplotlib.figure import Figure
 
-    shown = facts.played[:_SHOWN]
+    shown = facts.explorers[:_SHOWN]
     figure = Figure(figsize=(11, 2.2 + 0.5 * len(shown)), dpi=100, layout="constrained")
     left, right = figure.subplots(1, 2)
     start = np.zeros(len(shown))

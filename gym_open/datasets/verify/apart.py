@@ -12,7 +12,7 @@ from pathlib import Path
 import msgspec
 
 from gym_open.artefacts import Problem
-from gym_open.datasets.verify.replaying import Replay, replay_release
+from gym_open.datasets.verify.replaying import ReplayResult, replay_release
 from gym_open.datasets.verify.report import Findings
 from gym_open.formats.releases.info import read_info
 from gym_open.formats.releases.reader import Release
@@ -22,13 +22,13 @@ _CACHED_GROUPS = 4
 """Row groups whose pictures stay in memory: episodes are read one after the other."""
 
 
-class _Result(msgspec.Struct):
-    replay: Replay
+class _ReplayRecord(msgspec.Struct):
+    replay: ReplayResult
     problems: list[Problem]
     count: int
 
 
-def replay_apart(release: Release, tolerance: float, findings: Findings) -> Replay:
+def replay_apart(release: Release, tolerance: float, findings: Findings) -> ReplayResult:
     """As `replay_release`; if the simulation ends the process, that is a problem of the release."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "replay"
@@ -37,7 +37,7 @@ def replay_apart(release: Release, tolerance: float, findings: Findings) -> Repl
         words = [sys.executable, "-c", code, str(release.root.absolute()), repr(tolerance), str(out)]
         done = subprocess.run(words, cwd=folder, stdout=subprocess.DEVNULL, check=False)  # noqa: S603  # our own module
         if done.returncode == 0:
-            result = msgspec.msgpack.decode(out.read_bytes(), type=_Result)
+            result = msgspec.msgpack.decode(out.read_bytes(), type=_ReplayRecord)
             for problem in result.problems:
                 findings.add(problem.file, problem.what)
             findings.count += result.count - len(result.problems)
@@ -50,16 +50,16 @@ def replay_apart(release: Release, tolerance: float, findings: Findings) -> Repl
             f"the simulation ended, code {done.returncode}: {what}; no play leads to such a state: do not use this "
             "release",
         )
-        return Replay([])
+        return ReplayResult([])
 
 
 def main(root: str, tolerance: str, out: str) -> None:
-    """Replay a release and write what came of it."""
+    """ReplayResult a release and write what came of it."""
     release = Release(Path(root), "", read_info(Path(root)), cached_groups=_CACHED_GROUPS)
     findings = Findings()
     try:
         replay = replay_release(release, float(tolerance), findings)
     except Exception as error:  # what a hostile release makes libraries raise is not to be listed
-        replay = Replay([])
+        replay = ReplayResult([])
         findings.add(".", f"replay cannot be checked: {type(error).__name__}: {error}"[:500])
-    Path(out).write_bytes(msgspec.msgpack.encode(_Result(replay, findings.problems, findings.count)))
+    Path(out).write_bytes(msgspec.msgpack.encode(_ReplayRecord(replay, findings.problems, findings.count)))

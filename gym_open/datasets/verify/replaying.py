@@ -21,7 +21,7 @@ from gym_open.replay.player import VERDICTS, Player, RecordedObservation, Replay
 from gym_open.replay.table import stream_table, window_table, worst_verdict
 
 
-class Replay(msgspec.Struct):
+class ReplayResult(msgspec.Struct):
     """What came of it."""
 
     windows: list[ReplayWindow]
@@ -48,9 +48,9 @@ class Replay(msgspec.Struct):
         return [stream_table(list(by_number.values()), tolerance)] + ([window_table(others)] if others else [])
 
 
-def replay_release(release: Release, tolerance: float, findings: Findings) -> Replay:
+def replay_release(release: Release, tolerance: float, findings: Findings) -> ReplayResult:
     """Play all episodes again and note those that went another way. Memory is that of one episode and all states."""
-    done = Replay([])
+    done = ReplayResult([])
     names = tuple(release.info["gym_open"]["objects"])
     player = Player(tolerance)
     if names != player.world.inventory:
@@ -60,7 +60,7 @@ def replay_release(release: Release, tolerance: float, findings: Findings) -> Re
             "with the version that its provenance names",
         )
         return done
-    played = _Played(release, player)
+    played = _EpisodeReplayer(release, player)
     with progress.bar("replaying", int(release.episodes["steps"].sum())) as bar:
         for row in rows_of(release.episodes):
             try:
@@ -97,7 +97,7 @@ def _difference(window: ReplayWindow, release: Release) -> tuple[str, str]:
     return data_path(row["data/chunk_index"], row["data/file_index"]), f"{where} ({', '.join(parts)})"
 
 
-class _Played:
+class _EpisodeReplayer:
     """Episodes, one at a time, with what a replay needs to know of all of them."""
 
     def __init__(self, release: Release, player: Player) -> None:

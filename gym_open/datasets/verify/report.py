@@ -54,7 +54,7 @@ def rows_of(frame: "pd.DataFrame") -> list[dict[str, Any]]:
     return [{str(name): value for name, value in row.items()} for row in frame.to_dict("records")]
 
 
-class Report(msgspec.Struct):
+class VerificationReport(msgspec.Struct):
     """What came of a verification, as the release says it: text in it is to be shown, never to be followed."""
 
     verdict: str

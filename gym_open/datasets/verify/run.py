@@ -9,7 +9,7 @@ from gym_open.datasets.verify.apart import replay_apart
 from gym_open.datasets.verify.contents import check_contents
 from gym_open.datasets.verify.documents import check_documents, check_texts
 from gym_open.datasets.verify.readers import check_lerobot, check_pandas
-from gym_open.datasets.verify.report import NOT_CHECKED, Check, Findings, Report, verdict_of
+from gym_open.datasets.verify.report import NOT_CHECKED, Check, Findings, VerificationReport, verdict_of
 from gym_open.datasets.verify.structure import check_episodes, check_files, check_info
 from gym_open.datasets.verify.tables import check_tables
 from gym_open.errors import GymOpenError, UsageError
@@ -21,7 +21,9 @@ CACHED_GROUPS = 4
 """Row groups whose pictures stay in memory: episodes are read one after the other."""
 
 
-def verify_release(root: Path, *, replay: bool = True, tolerance: float = 1e-3, key: Path | None = None) -> Report:
+def verify_release(
+    root: Path, *, replay: bool = True, tolerance: float = 1e-3, key: Path | None = None
+) -> VerificationReport:
     """Check a release: bytes, structure, frames, statistics, digests, readers, signature, and by playing it again.
 
     Args:
@@ -51,9 +53,9 @@ class _Verification:
         self._names: set[str] = set()
         self._release: Release | None = None
 
-    def run(self, replay: bool, tolerance: float) -> Report:
+    def run(self, replay: bool, tolerance: float) -> VerificationReport:
         """Do all checks."""
-        report = Report("", [], "", "", self._checks)
+        report = VerificationReport("", [], "", "", self._checks)
         sound = self._check("bytes", self._bytes)
         self._check("signature", self._signature, needs=sound)  # nothing rests on it, nor on the documents
         sound = self._check("structure", self._structure, needs=sound)

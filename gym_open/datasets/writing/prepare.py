@@ -5,7 +5,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from gym_open.datasets.writing.sources import Episode
+from gym_open.datasets.writing.sources import SourceEpisode
 from gym_open.datasets.writing.statistics import Stats, feature_stats, picture_stats
 from gym_open.datasets.writing.video import decode_clip, encode_clip, pixel_error
 from gym_open.errors import ArtefactError
@@ -18,7 +18,7 @@ from gym_open.formats.releases.schemas import PIXEL_ERROR
 class Prepared(msgspec.Struct, frozen=True, eq=False):
     """An episode that is ready to be written."""
 
-    episode: Episode
+    episode: SourceEpisode
     """Without pictures."""
     frames: int
     stats: dict[str, Stats]
@@ -30,7 +30,7 @@ class Prepared(msgspec.Struct, frozen=True, eq=False):
     """Columns of `meta/episodes` that come from coding it."""
 
 
-def prepare(episode: Episode, *, video: bool = False) -> Prepared:
+def prepare(episode: SourceEpisode, *, video: bool = False) -> Prepared:
     """Code, count and hash an episode; PNG files that it brings are taken over as they are."""
     images = episode.images
     if images is None:

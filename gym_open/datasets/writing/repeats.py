@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gym_open.datasets.writing.sources import Play
+from gym_open.datasets.writing.sources import SourceStream
 from gym_open.errors import UsageError
 from gym_open.formats.releases import Release
 
@@ -31,28 +31,28 @@ class _Beginning(NamedTuple):
         )
 
 
-def check_distinct(plays: Sequence[Play], after: Release | None) -> None:
+def check_distinct(streams: Sequence[SourceStream], after: Release | None) -> None:
     """Raises UsageError if two streams of one explorer begin with the same steps: their episodes would be there twice.
 
     Args:
-        plays: streams that will be in a release.
+        streams: streams that will be in a release.
         after: the release that they are appended to.
     """
     known: dict[tuple[str, str], list[_Beginning]] = {}
     for key, beginning in _of_release(after) if after else ():
         known.setdefault(key, []).append(beginning)
-    for play in plays:
-        first = next(play.log.segments(_STEPS), None)
+    for stream in streams:
+        first = next(stream.log.segments(_STEPS), None)
         if first is None:
             continue
         states = first.object_state.astype(np.float32).reshape(len(first.object_state), -1)
-        beginning = _Beginning(play.log.path, first.actions, states)
-        same = known.setdefault((play.explorer, first.puzzle.digest), [])
+        beginning = _Beginning(stream.log.path, first.actions, states)
+        same = known.setdefault((stream.explorer, first.puzzle.digest), [])
         for other in same:
             if beginning.is_of(other):
                 raise UsageError(
-                    f"{play.log.path}: begins with the very steps of {other.where}, by the same explorer; its episodes "
-                    "would be there twice: give only the longer of the two"
+                    f"{stream.log.path}: begins with the same steps as {other.where}, by the same explorer; its "
+                    "episodes would be there twice: give only the longer of the two"
                 )
         same.append(beginning)
 

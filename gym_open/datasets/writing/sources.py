@@ -38,7 +38,7 @@ class KeyframeAt(NamedTuple):
     """(S,) float64."""
 
 
-class Episode(msgspec.Struct, frozen=True, eq=False):
+class SourceEpisode(msgspec.Struct, frozen=True, eq=False):
     """T actions in T + 1 frames, wherever in a release they will stand."""
 
     numbers: dict[str, np.ndarray]
@@ -52,7 +52,7 @@ class Episode(msgspec.Struct, frozen=True, eq=False):
     """PNG files that are taken over as they are."""
 
 
-class Play(NamedTuple):
+class SourceStream(NamedTuple):
     """A stream of a log, and what it is called in the release."""
 
     log: "Log"
@@ -63,7 +63,7 @@ class Play(NamedTuple):
     explorer: str
 
 
-def plays_of(logs: Sequence[Path], first_stream: int = 0) -> list[Play]:
+def streams_of(logs: Sequence[Path], first_stream: int = 0) -> list[SourceStream]:
     """All streams of the log artefacts `logs`, numbered on from `first_stream`.
 
     Raises:
@@ -71,7 +71,7 @@ def plays_of(logs: Sequence[Path], first_stream: int = 0) -> list[Play]:
     """
     from gym_open.formats.logs.reader import open_logs
 
-    plays: list[Play] = []
+    streams: list[SourceStream] = []
     for parent, artefact in enumerate(logs):
         if (kind := artefacts.lineage(artefact).kind) != "log":
             raise ArtefactError(
@@ -79,8 +79,8 @@ def plays_of(logs: Sequence[Path], first_stream: int = 0) -> list[Play]:
             )
         for log in open_logs(artefact):
             _check_task_free(log)
-            plays.append(Play(log, first_stream + len(plays), parent, explorer_of(log.config)))
-    return plays
+            streams.append(SourceStream(log, first_stream + len(streams), parent, explorer_of(log.config)))
+    return streams
 
 
 def held_logs(lineage: artefacts.Lineage) -> list[str]:
@@ -111,13 +111,13 @@ def explorer_of(config: Mapping[str, Any]) -> str:
 
 
 def episodes_of_logs(
-    config: ReleaseConfig, plays: Iterable[Play], splits: Mapping[Unit, Split], described: Features
-) -> Iterator[Episode]:
-    """The episodes of all plays, in the order of play, each let go before the next is read.
+    config: ReleaseConfig, streams: Iterable[SourceStream], splits: Mapping[Unit, Split], described: Features
+) -> Iterator[SourceEpisode]:
+    """The episodes of all streams, in the order of play, each let go before the next is read.
 
     Args:
         config: says how long an episode may be.
-        plays: of `plays_of`.
+        streams: of `streams_of`.
         splits: of every unit.
         described: features of the release.
 
@@ -125,26 +125,26 @@ def episodes_of_logs(
         ArtefactError: if a log is of another model than `described`, or damaged.
     """
     parts = [name.removeprefix(PART) for name in described if name.startswith(PART)]
-    for play in plays:
-        for segment in play.log.segments(config.max_episode_steps):
+    for stream in streams:
+        for segment in stream.log.segments(config.max_episode_steps):
             if list(segment.object_names) != objects(described):
                 raise ArtefactError(
-                    f"{play.log.path}: segment {segment.index} has the objects {segment.object_names}, the release "
+                    f"{stream.log.path}: segment {segment.index} has the objects {segment.object_names}, the release "
                     f"{objects(described)}; logs of different models do not go into one release"
                 )
-            split = splits[unit_of(config.split_by, play.stream, segment.puzzle.digest)]
-            row = _row(play, segment, split, segment.segment_step // config.max_episode_steps)
+            split = splits[unit_of(config.split_by, stream.stream, segment.puzzle.digest)]
+            row = _row(stream, segment, split, segment.segment_step // config.max_episode_steps)
             keyframes = [
                 KeyframeAt(item.segment_step, item.segment_step - segment.segment_step, item.integration_state)
                 for item in segment.keyframes
             ]
-            yield Episode(numbers(segment, parts), row, keyframes, images=segment.images)
+            yield SourceEpisode(numbers(segment, parts), row, keyframes, images=segment.images)
 
 
-def _row(play: Play, segment: "Segment", split: Split, piece: int) -> dict[str, Any]:
+def _row(stream: SourceStream, segment: "Segment", split: Split, piece: int) -> dict[str, Any]:
     return {
-        "stream": play.stream,
-        "explorer": play.explorer,
+        "stream": stream.stream,
+        "explorer": stream.explorer,
         "segment": segment.index,
         "piece": piece,
         "world": segment.world,
@@ -157,7 +157,7 @@ def _row(play: Play, segment: "Segment", split: Split, piece: int) -> dict[str, 
     }
 
 
-def episodes_of_release(release: Release, numbers: Iterable[int]) -> Iterator[Episode]:
+def episodes_of_release(release: Release, numbers: Iterable[int]) -> Iterator[SourceEpisode]:
     """Episodes of a release by their numbers, as they are: PNG files are not decoded, video is.
 
     Args:
@@ -169,7 +169,7 @@ def episodes_of_release(release: Release, numbers: Iterable[int]) -> Iterator[Ep
     """
     described = release.info["features"]
     keyframes = release.table("keyframes").groupby("episode_index")
-    rows = _Rows(release)
+    rows = _FrameReader(release)
     for number in numbers:
         row = release.episodes.iloc[number]
         first, stop = int(row["dataset_from_index"]), int(row["dataset_to_index"])
@@ -186,7 +186,7 @@ def episodes_of_release(release: Release, numbers: Iterable[int]) -> Iterator[Ep
             for _, item in (() if group is None else group.iterrows())
         ]
         plain = {name: getattr(row[name], "item", lambda value=row[name]: value)() for name, _ in EPISODE_ROW}
-        yield Episode(values, plain, states, images=images, pngs=pngs)
+        yield SourceEpisode(values, plain, states, images=images, pngs=pngs)
 
 
 def _values(column: "pa.ChunkedArray", feature: Mapping[str, Any]) -> np.ndarray:
@@ -196,7 +196,7 @@ def _values(column: "pa.ChunkedArray", feature: Mapping[str, Any]) -> np.ndarray
     return array.flatten().to_numpy().reshape(-1, *feature["shape"])
 
 
-class _Rows:
+class _FrameReader:
     """Rows of data files; keeps the row groups read last, since neighbouring episodes are asked for together."""
 
     def __init__(self, release: Release) -> None:

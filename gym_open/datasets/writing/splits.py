@@ -8,7 +8,7 @@ from gym_open.datasets.config import ReleaseConfig
 from gym_open.formats.releases.layout import SPLITS, Split
 
 if TYPE_CHECKING:
-    from gym_open.datasets.writing.sources import Play
+    from gym_open.datasets.writing.sources import SourceStream
 
 Unit = str
 """What is never in two splits: the digest of a layout, or the number of a stream."""
@@ -48,24 +48,26 @@ def assign(
     return {**known, **{unit: "val" if unit in held else "train" for unit in new}}
 
 
-def units_of(config: ReleaseConfig, plays: "Iterable[Play]") -> set[Unit]:
+def units_of(config: ReleaseConfig, streams: "Iterable[SourceStream]") -> set[Unit]:
     """All worlds that were visited, or all streams, as `config.split_by` says."""
     return {
-        unit_of(config.split_by, play.stream, play.log.puzzles[switch.to_world].digest)
-        for play in plays
-        for switch in play.log.switches
+        unit_of(config.split_by, stream.stream, stream.log.puzzles[switch.to_world].digest)
+        for stream in streams
+        for switch in stream.log.switches
         if switch.to_world >= 0
     }
 
 
-def shares_of(config: ReleaseConfig, plays: "Iterable[Play]", splits: Mapping[Unit, Split]) -> dict[Split, Share]:
-    """How many episodes and frames the plays make, told from their switches before anything else is read."""
+def shares_of(
+    config: ReleaseConfig, streams: "Iterable[SourceStream]", splits: Mapping[Unit, Split]
+) -> dict[Split, Share]:
+    """How many episodes and frames the streams make, told from their switches before anything else is read."""
     shares: dict[Split, Share] = {split: Share() for split in SPLITS}
-    for play in plays:
-        for entered, left in zip(play.log.switches, play.log.switches[1:], strict=False):
+    for stream in streams:
+        for entered, left in zip(stream.log.switches, stream.log.switches[1:], strict=False):
             steps = left.step - entered.step
             pieces = max(1, -(-steps // config.max_episode_steps))
-            puzzle = play.log.puzzles[entered.to_world].digest
-            split = splits[unit_of(config.split_by, play.stream, puzzle)]
+            puzzle = stream.log.puzzles[entered.to_world].digest
+            split = splits[unit_of(config.split_by, stream.stream, puzzle)]
             shares[split] = shares[split].plus(pieces, steps + pieces)
     return shares

@@ -10,7 +10,7 @@ import pyarrow as pa
 from gym_open.datasets.writing.lerobot_files import TASK, DataFile, frames_batch
 from gym_open.datasets.writing.parts import Part
 from gym_open.datasets.writing.prepare import Prepared
-from gym_open.datasets.writing.sources import Episode, KeyframeAt
+from gym_open.datasets.writing.sources import KeyframeAt, SourceEpisode
 from gym_open.datasets.writing.splits import Share
 from gym_open.datasets.writing.statistics import Stats, feature_stats
 from gym_open.datasets.writing.video import MAX_FRAMES, VideoFile
@@ -23,7 +23,7 @@ CONTENT = "content/"
 """What stands before a feature's name where its digest waits in a part."""
 
 
-class Place(msgspec.Struct, frozen=True):
+class SplitPlace(msgspec.Struct, frozen=True):
     """Where a split of a batch stands in the release."""
 
     split: Split
@@ -39,7 +39,7 @@ class Place(msgspec.Struct, frozen=True):
 class Track:
     """Writes a split. Data files that were finished before a kill are found, and kept."""
 
-    def __init__(self, folder: Path, place: Place, described: Features, limit_bytes: int) -> None:
+    def __init__(self, folder: Path, place: SplitPlace, described: Features, limit_bytes: int) -> None:
         self.added = 0
         """Episodes that came, in this run."""
         self.parts: list[Part] = []
@@ -162,6 +162,6 @@ def _stats_row(feature: str, stats: Stats) -> dict[str, Any]:
     return {f"{STATS}{feature}/{name}": value for name, value in stats.plain().items()}
 
 
-def _keyframe_row(episode: Episode, number: int, state: KeyframeAt) -> dict[str, Any]:
+def _keyframe_row(episode: SourceEpisode, number: int, state: KeyframeAt) -> dict[str, Any]:
     places = {"stream": episode.row["stream"], "segment": episode.row["segment"], "episode_index": number}
     return {**places, **state._asdict()}

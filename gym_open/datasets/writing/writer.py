@@ -25,10 +25,10 @@ from gym_open.datasets.writing.lerobot_files import write_table
 from gym_open.datasets.writing.meta import write_meta
 from gym_open.datasets.writing.parts import join
 from gym_open.datasets.writing.prepare import Prepared, prepare
-from gym_open.datasets.writing.sources import Episode
+from gym_open.datasets.writing.sources import SourceEpisode
 from gym_open.datasets.writing.splits import Share
 from gym_open.datasets.writing.tables import segments_of_episodes
-from gym_open.datasets.writing.tracks import CONTENT, Place, Track
+from gym_open.datasets.writing.tracks import CONTENT, SplitPlace, Track
 from gym_open.errors import ArtefactError, UsageError
 from gym_open.formats.releases import Release
 from gym_open.formats.releases.features import Features
@@ -83,7 +83,7 @@ class ReleaseWriter:
         for split in SPLITS:
             share = shares.get(split, Share())
             if share.episodes:
-                place = Place(split, share, first, chunk, self._batch)
+                place = SplitPlace(split, share, first, chunk, self._batch)
                 self._tracks[split] = Track(folder, place, described, data_file_mb * 2**20)
                 first, chunk = first.plus(*share), chunk + 1
         self._video = described[IMAGE]["dtype"] == "video"
@@ -110,7 +110,7 @@ class ReleaseWriter:
             track.added += share.episodes
         return True
 
-    def add(self, episode: Episode) -> None:
+    def add(self, episode: SourceEpisode) -> None:
         """Add an episode: the next one of its split."""
         track = self._tracks[episode.row["split"]]
         track.added += 1

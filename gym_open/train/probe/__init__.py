@@ -1,4 +1,4 @@
-"""Linear probes: what a linear map can read from a frozen encoder about worlds that it never saw."""
+"""Linear probes: what a linear map can read from a frozen encoder about new worlds."""
 
 from gym_open.train.probe.probing import probe
 

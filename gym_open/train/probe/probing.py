@@ -1,4 +1,4 @@
-"""`gym-open train probe`: what a linear map can read from a frozen encoder about worlds it never saw."""
+"""`gym-open train probe`: measure what a linear map can read from a frozen encoder about new worlds."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,50 +19,54 @@ from gym_open.envs.constants import PITCH
 from gym_open.formats.models import load_encoder
 from gym_open.train.config import ProbeConfig
 from gym_open.train.probe.ridge import fit_ridge
-from gym_open.train.probe.scores import Score, auc, auc_score, mean_score, r2_score, ratio_score, resample
-from gym_open.train.probe.worlds import BODIES, MOVES, Sample, draw_samples
+from gym_open.train.probe.scores import ProbeScore, auc, auc_score, mean_score, r2_score, ratio_score, resample
+from gym_open.train.probe.worlds import BODIES, MOVES, ProbeSample, draw_samples
 
 PROBE = "probe.json"
 PARTS = ("train", "validation", "test")
 TARGETS = (*BODIES, "displacement", "contact", "move")
-"""What is asked: where each thing is; how far the agent's next move takes it, and whether it then touches something,
-given the move; and which move it was, from the pictures before and after."""
+"""What the probes predict: the position of each body; for a given move, how far it takes the agent and whether it
+touches something; and the move itself, from the images before and after it."""
 MEASURES = {"displacement": "r2", "contact": "auc", "move": "accuracy"}
-"""How targets are scored; positions by `r2`."""
+"""Measure of each target; positions have `r2`."""
 BATCH = 500
 
 
 @dataclass(frozen=True)
-class Found:
-    """What one kind of features tells: scores by target, and mean distances in cells by position."""
+class ProbeResult:
+    """Results for one kind of features: scores by target, and mean distances in cells by body."""
 
-    scores: dict[str, Score]
+    scores: dict[str, ProbeScore]
     cells: dict[str, float]
 
 
 def probe(config: ProbeConfig, encoder: Path, out: Path) -> artefacts.Outcome:
-    """Probe a frozen encoder, untrained ones of the same architecture, and the pixels.
+    """Probe a frozen encoder, untrained encoders of the same architecture, and the pixels.
 
-    All maps are ridge regressions (`fit_ridge`) on features of pictures of the agent at random play. Payload,
+    All maps are ridge regressions (`fit_ridge`) on features of images of an agent that moves at random. Payload,
     `probe.json`:
 
         {"targets": {TARGET: {
              "measure": "r2" | "auc" | "accuracy",
-             "guess": score without looking at the picture,
+             "guess": score without the image,
              "scores": {FEATURES: {"value", "low", "high", "error_cells"}},
              "gain": {"value", "low", "high"}}},
-         "worlds": {"train", "validation", "test"}, "moves": moves played in each}
+         "worlds": {"train", "validation", "test"}, "moves": moves in each world}
 
-    Targets: positions of `agent`, `yellow`, `green`, `heavy` and `light` (r2 over both coordinates; `error_cells`, for
-    positions only, is the mean distance in cells of the grid); `displacement` of the agent in its next move (r2 over
-    the mean of that move) and `contact` in it (area under the ROC curve), each by a map for each move; `move`, which
-    one of eight it was, from the difference of the features after and before (its direction is fitted, and the nearest
-    of the eight taken; share of right answers).
-    Features: `trained`, `untrained` (mean over `config.untrained` draws of the weights) and, if asked for, `pixels`.
-    `gain` is `trained` less `untrained`. Intervals are of level 95%, by resampling the test worlds.
+    Targets:
+
+    - positions of `agent`, `yellow`, `green`, `heavy` and `light`: r2 over both coordinates; `error_cells`, for
+      positions only, is the mean distance in cells of the grid;
+    - `displacement` of the agent in its next move (r2 over the mean of that move) and `contact` in it (area under the
+      ROC curve), with one map per move;
+    - `move`, one of eight, from the difference of the features after and before it: the map predicts its direction, and
+      the nearest of the eight is the answer (share of right answers).
+
+    Features: `trained`, `untrained` (mean over `config.untrained` draws of the weights) and, on request, `pixels`.
+    `gain` is `trained` minus `untrained`. Intervals have level 95% and come from resampling the test worlds.
 
     Args:
-        config: number of worlds, strengths of regularisation, seed.
+        config: numbers of worlds, strengths of regularisation, seed.
         encoder: an encoder artefact, or a log whose explorer had an encoder.
         out: folder of the result.
 
@@ -89,13 +93,13 @@ def logged_puzzles(lineage: Lineage) -> set[str]:
     return own.union(*(logged_puzzles(parent.lineage) for parent in lineage.parents))
 
 
-def score(config: ProbeConfig, trained: Encoder, samples: Mapping[str, Sample]) -> dict[str, dict[str, Any]]:
-    """What probe.json holds as `targets`."""
+def score(config: ProbeConfig, trained: Encoder, samples: Mapping[str, ProbeSample]) -> dict[str, dict[str, Any]]:
+    """The value of `targets` in probe.json."""
     resamples = resample(len(samples["test"].images), seeding.generator(config.seed, "probe", "resamples"))
-    found: dict[str, Found] = {}
+    found: dict[str, ProbeResult] = {}
     with progress.bar("probe", 1 + config.untrained + config.pixels) as bar:
 
-        def look(encoder: Encoder | None) -> Found:
+        def look(encoder: Encoder | None) -> ProbeResult:
             with threads(config.threads):
                 features = {part: _features(encoder, sample.images) for part, sample in samples.items()}
             looked = _look(config, features, samples, resamples)
@@ -110,7 +114,7 @@ def score(config: ProbeConfig, trained: Encoder, samples: Mapping[str, Sample]) 
     return {target: _row(target, found, guesses.get(target, 0.0)) for target in TARGETS}
 
 
-def _row(target: str, found: Mapping[str, Found], guess: float) -> dict[str, Any]:
+def _row(target: str, found: Mapping[str, ProbeResult], guess: float) -> dict[str, Any]:
     scores = {name: one.scores[target].record() for name, one in found.items()}
     for name, one in found.items():
         if target in one.cells:
@@ -119,16 +123,16 @@ def _row(target: str, found: Mapping[str, Found], guess: float) -> dict[str, Any
     return {"measure": MEASURES.get(target, "r2"), "guess": guess, "scores": scores, "gain": gain}
 
 
-def _guesses(samples: Mapping[str, Sample]) -> dict[str, float]:
-    """Scores without a picture, where they are not 0."""
+def _guesses(samples: Mapping[str, ProbeSample]) -> dict[str, float]:
+    """Scores without an image, where they are not 0."""
     train, test = samples["train"], samples["test"]
     rates = _by_move(train.contacts.double()[..., None], train.moves)[test.moves]
     return {"contact": auc(rates.numpy(), test.contacts.numpy()), "move": 1 / MOVES}
 
 
-def _mean(found: list[Found]) -> Found:
+def _mean(found: list[ProbeResult]) -> ProbeResult:
     scores = {target: mean_score([one.scores[target] for one in found]) for target in TARGETS}
-    return Found(scores, {body: float(np.mean([one.cells[body] for one in found])) for body in BODIES})
+    return ProbeResult(scores, {body: float(np.mean([one.cells[body] for one in found])) for body in BODIES})
 
 
 def _untrained(config: ProbeConfig, trained: Encoder, number: int) -> Encoder:
@@ -139,7 +143,7 @@ def _untrained(config: ProbeConfig, trained: Encoder, number: int) -> Encoder:
 
 
 def _features(encoder: Encoder | None, images: Tensor) -> Tensor:
-    """(W, T + 1, D) features of pictures (W, T + 1, 84, 84, 3), fp64; without an encoder, the pixels as they are."""
+    """(W, T + 1, D) features in fp64 of images (W, T + 1, 84, 84, 3); without an encoder, the pixels as they are."""
     if encoder is None:
         return images.flatten(2)
     features = torch.cat([encoder.encode(batch) for batch in images.flatten(0, 1).split(BATCH)])
@@ -147,23 +151,23 @@ def _features(encoder: Encoder | None, images: Tensor) -> Tensor:
 
 
 def _numbers(features: Tensor) -> Tensor:
-    """Features as a regression takes them: pixels in fp32, in which twenty thousand columns take half the time."""
+    """Features for a regression. Pixels are fp32, in which twenty thousand columns take half the time."""
     return features if features.is_floating_point() else features.float()
 
 
 def _look(
-    config: ProbeConfig, features: Mapping[str, Tensor], samples: Mapping[str, Sample], resamples: np.ndarray
-) -> Found:
+    config: ProbeConfig, features: Mapping[str, Tensor], samples: Mapping[str, ProbeSample], resamples: np.ndarray
+) -> ProbeResult:
     scores, cells = _positions(config, features, samples, resamples)
     scores.update(_consequences(config, features, samples, resamples))
     scores["move"] = _which_move(config, features, samples, resamples)
-    return Found(scores, cells)
+    return ProbeResult(scores, cells)
 
 
 def _positions(
-    config: ProbeConfig, features: Mapping[str, Tensor], samples: Mapping[str, Sample], resamples: np.ndarray
-) -> tuple[dict[str, Score], dict[str, float]]:
-    """From the first picture of each world, where things are."""
+    config: ProbeConfig, features: Mapping[str, Tensor], samples: Mapping[str, ProbeSample], resamples: np.ndarray
+) -> tuple[dict[str, ProbeScore], dict[str, float]]:
+    """Predict the positions of bodies from the first image of each world."""
     x = {part: _numbers(features[part][:, 0]) for part in PARTS}
     y = {part: samples[part].positions[:, 0].flatten(1) for part in PARTS}
     found = _fitted(config, x, y).unflatten(1, (len(BODIES), 2))
@@ -177,9 +181,9 @@ def _positions(
 
 
 def _consequences(
-    config: ProbeConfig, features: Mapping[str, Tensor], samples: Mapping[str, Sample], resamples: np.ndarray
-) -> dict[str, Score]:
-    """From the picture before a move, a map for each move: how far it takes the agent, and whether it then touches."""
+    config: ProbeConfig, features: Mapping[str, Tensor], samples: Mapping[str, ProbeSample], resamples: np.ndarray
+) -> dict[str, ProbeScore]:
+    """Predict displacement and contact from the image before a move, with one map per move."""
     outcomes = {part: _outcomes(sample) for part, sample in samples.items()}
     means = _by_move(outcomes["train"], samples["train"].moves)
     test = samples["test"]
@@ -201,9 +205,9 @@ def _consequences(
 
 
 def _which_move(
-    config: ProbeConfig, features: Mapping[str, Tensor], samples: Mapping[str, Sample], resamples: np.ndarray
-) -> Score:
-    """From what changed between the first two pictures, the direction of the move; the nearest of eight is meant."""
+    config: ProbeConfig, features: Mapping[str, Tensor], samples: Mapping[str, ProbeSample], resamples: np.ndarray
+) -> ProbeScore:
+    """Predict the direction of the move from the first two images; the nearest of the eight moves is the answer."""
     directions = torch.tensor(DIRECTIONS[1:], dtype=torch.float64)
     x = {part: _numbers(features[part][:, 1]) - _numbers(features[part][:, 0]) for part in PARTS}
     y = {part: directions[samples[part].moves[:, 0]] for part in PARTS}
@@ -212,19 +216,19 @@ def _which_move(
 
 
 def _fitted(config: ProbeConfig, x: Mapping[str, Tensor], y: Mapping[str, Tensor]) -> Tensor:
-    """Predictions for part `test`, (n, K) fp64."""
+    """Fit a map and return its predictions for part `test`, (n, K) fp64."""
     kind = x["train"].dtype
     ridge = fit_ridge(x["train"], y["train"].to(kind), (x["validation"], y["validation"].to(kind)), config.ridge)
     return ridge.predict(x["test"]).double()
 
 
-def _outcomes(sample: Sample) -> Tensor:
-    """(W, T, 3): the agent's displacement in metres, and 1 if it touched something."""
+def _outcomes(sample: ProbeSample) -> Tensor:
+    """(W, T, 3): displacement of the agent in metres, and 1 if it touched something."""
     agent = sample.positions[:, :, 0]
     return torch.cat([agent[:, 1:] - agent[:, :-1], sample.contacts.double()[..., None]], dim=2)
 
 
 def _by_move(values: Tensor, moves: Tensor) -> Tensor:
-    """Mean of values (W, T, K) by move: (8, K); 0 for a move that was not made."""
+    """Mean of values (W, T, K) by move: (8, K); 0 for a move that never occurred."""
     done = F.one_hot(moves.flatten(), MOVES).double()
     return done.T @ values.flatten(0, 1) / done.sum(dim=0).clamp(min=1)[:, None]

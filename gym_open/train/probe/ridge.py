@@ -1,4 +1,4 @@
-"""Ridge regression in closed form, its strength chosen on validation data."""
+"""Ridge regression in closed form, with its strength chosen on validation data."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,16 +22,18 @@ class Ridge:
 
 
 def fit_ridge(x: Tensor, y: Tensor, validation: tuple[Tensor, Tensor], strengths: Sequence[float]) -> Ridge:
-    """Minimise `‖y − offset − z·weights‖² + strength·‖weights‖²`, for each target with the strength that suits it best.
+    """Minimise `‖y − offset − z·weights‖² + strength·‖weights‖²`, with the best strength for each target.
 
     z is x centred and divided by one number, so that its rows have mean square length 1: strengths then mean the same
-    for any number of inputs. Solved by eigenvectors of `zᵀz` or `zzᵀ`, the smaller (Hastie et al. 2009, 18.3.5).
+    for any number of inputs. The solution uses eigenvectors of `zᵀz` or `zzᵀ`,
+    whichever is smaller (Hastie et al. 2009, 18.3.5).
 
     Args:
         x: inputs, (n, D).
         y: targets, (n, K).
-        validation: inputs (m, D) and targets (m, K); the smallest mean square error of a target there is the best.
-        strengths: to choose from, each positive.
+        validation: inputs (m, D) and targets (m, K); for each target, the strength with the smallest mean square
+            error there is the best.
+        strengths: the strengths to choose from, each positive.
     """
     centre, offset = x.mean(dim=0), y.mean(dim=0)
     z = x - centre

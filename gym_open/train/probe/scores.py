@@ -1,4 +1,4 @@
-"""Scores of predictions over worlds, each with what it would be in other draws of the same number of worlds."""
+"""Scores of predictions over worlds, with the same scores of resampled worlds for intervals."""
 
 from dataclasses import dataclass
 
@@ -10,16 +10,16 @@ LEVEL = 0.95
 
 
 @dataclass(frozen=True)
-class Score:
-    """A score, and the same of each resample of the worlds (bootstrap; Efron and Tibshirani 1993)."""
+class ProbeScore:
+    """A score, and its value on each resample of the worlds (bootstrap; Efron and Tibshirani 1993)."""
 
     value: float
     resampled: np.ndarray
     """(B,)"""
 
-    def __sub__(self, other: "Score") -> "Score":
-        """The difference of two scores on the same resamples: what all share of a world's difficulty cancels."""
-        return Score(self.value - other.value, self.resampled - other.resampled)
+    def __sub__(self, other: "ProbeScore") -> "ProbeScore":
+        """The difference of two scores on the same resamples. The difficulty of a world, which both share, cancels."""
+        return ProbeScore(self.value - other.value, self.resampled - other.resampled)
 
     def record(self) -> dict[str, float]:
         """`value` and the percentile interval `low`…`high` of level 95%."""
@@ -27,36 +27,36 @@ class Score:
         return {"value": self.value, "low": float(low), "high": float(high)}
 
 
-def mean_score(scores: list[Score]) -> Score:
+def mean_score(scores: list[ProbeScore]) -> ProbeScore:
     """The mean of several scores on the same resamples."""
-    return Score(float(np.mean([s.value for s in scores])), np.mean([s.resampled for s in scores], axis=0))
+    return ProbeScore(float(np.mean([s.value for s in scores])), np.mean([s.resampled for s in scores], axis=0))
 
 
 def resample(worlds: int, rng: np.random.Generator) -> np.ndarray:
-    """Which worlds are in each resample: (B, W) int64, drawn with replacement."""
+    """Draw the worlds of each resample with replacement: (B, W) int64."""
     return rng.integers(worlds, size=(RESAMPLES, worlds))
 
 
-def ratio_score(above: np.ndarray, below: np.ndarray, resamples: np.ndarray) -> Score:
-    """`Σ above / Σ below` over worlds, of (W,) each; `resamples` as `resample` draws them."""
-    return Score(float(above.sum() / below.sum()), above[resamples].sum(axis=1) / below[resamples].sum(axis=1))
+def ratio_score(above: np.ndarray, below: np.ndarray, resamples: np.ndarray) -> ProbeScore:
+    """`Σ above / Σ below` over worlds, for arrays (W,); `resamples` come from `resample`."""
+    return ProbeScore(float(above.sum() / below.sum()), above[resamples].sum(axis=1) / below[resamples].sum(axis=1))
 
 
-def r2_score(error: np.ndarray, guess_error: np.ndarray, resamples: np.ndarray) -> Score:
-    """`1 − Σ error / Σ guess_error` of squared errors by world (W,): 0 for no better than the guess, 1 at best."""
+def r2_score(error: np.ndarray, guess_error: np.ndarray, resamples: np.ndarray) -> ProbeScore:
+    """`1 − Σ error / Σ guess_error` of squared errors by world (W,): 0 if no better than the guess, 1 at best."""
     ratio = ratio_score(error, guess_error, resamples)
-    return Score(1 - ratio.value, 1 - ratio.resampled)
+    return ProbeScore(1 - ratio.value, 1 - ratio.resampled)
 
 
-def auc_score(found: np.ndarray, labels: np.ndarray, resamples: np.ndarray) -> Score:
-    """Area under the ROC curve: how often a true case was rated above a false one; ties count half, chance is ½.
+def auc_score(found: np.ndarray, labels: np.ndarray, resamples: np.ndarray) -> ProbeScore:
+    """Area under the ROC curve: how often a true case outranks a false one. Ties count half; chance is ½.
 
     Args:
         found: ratings, (W, T).
         labels: (W, T) bool.
-        resamples: as `resample` draws them.
+        resamples: from `resample`.
     """
-    return Score(auc(found, labels), np.array([auc(found[worlds], labels[worlds]) for worlds in resamples]))
+    return ProbeScore(auc(found, labels), np.array([auc(found[worlds], labels[worlds]) for worlds in resamples]))
 
 
 def auc(found: np.ndarray, labels: np.ndarray) -> float:

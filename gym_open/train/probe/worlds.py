@@ -1,4 +1,4 @@
-"""What a linear probe looks at: random play in fresh sandbox worlds, with the truth about it."""
+"""Data for linear probes: random moves in new sandbox worlds, with true positions and contacts."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,33 +15,33 @@ from gym_open.envs.puzzles.generators import SandboxConfig, sample_puzzle
 from gym_open.envs.world import World
 
 BODIES = {"agent": "agent", "yellow": "yellow_0", "green": "green_0", "heavy": "heavy_0", "light": "light_0"}
-"""What is looked for, and its body in the model."""
+"""Names of the bodies whose positions are probed, and the bodies in the model."""
 ONE_OF_EACH = SandboxConfig(yellow=(1, 1), green=(1, 1), heavy=(1, 1), light=(1, 1))
-"""Worlds where "the heavy cube" means one thing, so that its position is a function of the picture."""
+"""Worlds with exactly one heavy cube and so on, so that its position is a function of the image."""
 MOVES = N_ACTIONS - 1
-"""Actions that a probe world is played by: all but the no-op, which changes nothing."""
+"""Number of actions in probe worlds: all except the no-op, which changes nothing."""
 WARM_UP = 8
-"""Random moves before the first picture, so that things no longer lie where worlds are laid out."""
+"""Random moves before the first image, so that bodies no longer lie where the layout puts them."""
 
 
 @dataclass(frozen=True)
-class Sample:
-    """Play in W worlds, T moves in each, and a picture before the first of them and after every one."""
+class ProbeSample:
+    """W worlds with T moves each, and an image before the first move and after every move."""
 
     images: Tensor
     """(W, T + 1, 84, 84, 3) uint8."""
     positions: Tensor
-    """(W, T + 1, 5, 2) float64: on the table, in metres, in the order of `BODIES`."""
+    """(W, T + 1, 5, 2) float64: positions on the table in metres, in the order of `BODIES`."""
     moves: Tensor
-    """(W, T) int64 in 0…7: the action, less one."""
+    """(W, T) int64 in 0…7: the action minus one."""
     contacts: Tensor
-    """(W, T) bool: whether the agent touched something other than the ground during the move."""
+    """(W, T) bool: whether the agent touched something other than the ground in the move."""
 
 
-def draw_samples(sizes: Mapping[str, int], moves: int, known: set[str], seed: int) -> dict[str, Sample]:
-    """Fresh sandbox worlds by part, each warmed up and then played for `moves` random moves.
+def draw_samples(sizes: Mapping[str, int], moves: int, known: set[str], seed: int) -> dict[str, ProbeSample]:
+    """Draw new sandbox worlds by part; warm each of them up, then make `moves` random moves.
 
-    No world is in `known` (digests of layouts), and none is drawn twice.
+    No layout is in `known` (digests), and none is drawn twice.
     """
     world, used, samples = World(), set(known), {}
     bodies = [INVENTORY.index(body) for body in BODIES.values()]
@@ -64,7 +64,7 @@ def draw_samples(sizes: Mapping[str, int], moves: int, known: set[str], seed: in
                     positions[i, j] = world.object_state()[bodies, :2]
                 bar.advance()
             arrays = (torch.from_numpy(array) for array in (images, positions, chosen, contacts))
-            samples[part] = Sample(*arrays)
+            samples[part] = ProbeSample(*arrays)
     return samples
 
 

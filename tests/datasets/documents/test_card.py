@@ -92,7 +92,7 @@ def test_what_an_explorer_does_not_have_is_left_out(text: str) -> None:
 def test_visits_are_counted_once_a_frame(release: Release) -> None:
     facts = gather(release)
     inside = np.abs(release.column("observation.state")[:, :2]) < (0.65, 1.15)
-    assert sum(one.visits.sum() for one in facts.played) == inside.all(axis=1).sum()
+    assert sum(one.visits.sum() for one in facts.explorers) == inside.all(axis=1).sum()
 
 
 @pytest.mark.parametrize("config", ["{", "[]", "null", "[" * 100_000])

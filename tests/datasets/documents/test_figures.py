@@ -10,7 +10,7 @@ from matplotlib.colors import to_rgb
 from PIL import Image
 
 from gym_open.datasets import Release
-from gym_open.datasets.documents.facts import Facts, gather
+from gym_open.datasets.documents.facts import ReleaseFacts, gather
 from gym_open.datasets.documents.figures import (
     _COLUMNS,
     _ENDS,
@@ -27,11 +27,11 @@ from gym_open.plots import plain_style, png
 
 
 @pytest.fixture(scope="module")
-def facts(release: Release) -> Facts:
+def facts(release: Release) -> ReleaseFacts:
     return gather(release)
 
 
-def test_equal_data_give_equal_bytes_in_any_style(facts: Facts, release: Release) -> None:
+def test_equal_data_give_equal_bytes_in_any_style(facts: ReleaseFacts, release: Release) -> None:
     with mpl.rc_context({"figure.facecolor": "black", "font.size": 30, "savefig.dpi": 30}):
         again = draw(facts)
     assert again == {path.name: path.read_bytes() for path in (release.root / "figures").iterdir()}
@@ -45,11 +45,11 @@ def test_pictures_hold_no_text_of_their_own(release: Release) -> None:
             assert min(picture.size) >= 200
 
 
-def test_the_contact_sheet_shows_frames_of_the_release(facts: Facts, release: Release) -> None:
+def test_the_contact_sheet_shows_frames_of_the_release(facts: ReleaseFacts, release: Release) -> None:
     with Image.open(release.root / "figures/frames.png") as picture:
         sheet = np.asarray(picture.convert("RGB"))
     side, row_height = 84 * _ZOOM, 84 * _ZOOM + _GAP + _HEAD
-    for row, one in enumerate(facts.played):
+    for row, one in enumerate(facts.explorers):
         rows = release.episodes[release.episodes["explorer"] == one.explorer]
         numbers, worlds = _pick(rows)
         for column, (number, world) in enumerate(zip(numbers, worlds, strict=True)):
@@ -62,9 +62,9 @@ def test_the_contact_sheet_shows_frames_of_the_release(facts: Facts, release: Re
         assert set(worlds) == set(rows["puzzle"])
 
 
-def test_hostile_names(facts: Facts) -> None:
+def test_hostile_names(facts: ReleaseFacts) -> None:
     name = "$\\frac{$ \x1b[2J " + "x" * 400
-    played = [dataclasses.replace(one, explorer=name, ended=Counter({name: one.episodes})) for one in facts.played]
+    played = [dataclasses.replace(one, explorer=name, ended=Counter({name: one.episodes})) for one in facts.explorers]
     with plain_style():
         for figure in (_actions, _episodes):
             assert png(figure(dataclasses.replace(facts, played=played))).startswith(b"\x89PNG")

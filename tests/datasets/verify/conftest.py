@@ -15,12 +15,12 @@ from gym_open.collect.explore import collect
 from gym_open.datasets import documents
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
-from gym_open.datasets.verify import Report, run, verify_release
+from gym_open.datasets.verify import VerificationReport, run, verify_release
 from gym_open.datasets.verify.replaying import replay_release
 from gym_open.files import sha256_file
 
 Reseal = Callable[[Path], None]
-Quick = Callable[[Path], Report]
+Quick = Callable[[Path], VerificationReport]
 EVERY = 8
 """Steps between two keyframes."""
 
@@ -64,7 +64,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> Quick:
 
 
 @pytest.fixture
-def verify(monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], Report]:
+def verify(monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], VerificationReport]:
     """Verifies with the replay in this process, and without LeRobot: processes that take seconds to start."""
     monkeypatch.setattr(run, "check_lerobot", lambda *_: None)
     monkeypatch.setattr(run, "replay_apart", replay_release)

@@ -11,11 +11,11 @@ import pytest
 from rich.console import Console
 
 from gym_open.datasets import signing
-from gym_open.datasets.verify import Report, verify_release
+from gym_open.datasets.verify import VerificationReport, verify_release
 from gym_open.errors import ArtefactError, UsageError
 from gym_open.formats.releases import open_release
 
-Quick = Callable[[Path], Report]
+Quick = Callable[[Path], VerificationReport]
 Damage = Callable[[Path, Path, np.random.Generator], str]
 
 

@@ -12,18 +12,20 @@ from gym_open.datasets import build, documents
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import FilterConfig, ReleaseConfig
 from gym_open.datasets.filter import filter_release
-from gym_open.datasets.verify import Report, run, verify_release
-from gym_open.datasets.writing.sources import Episode, episodes_of_logs
+from gym_open.datasets.verify import VerificationReport, run, verify_release
+from gym_open.datasets.writing.sources import SourceEpisode, episodes_of_logs
 from gym_open.formats.releases import open_release
 
 EVERY = 8
 """Steps between two keyframes."""
 
 
-def made(log: Path, out: Path, *, cap: int = EVERY, forge: Callable[[Episode], Episode] = lambda one: one) -> Path:
+def made(
+    log: Path, out: Path, *, cap: int = EVERY, forge: Callable[[SourceEpisode], SourceEpisode] = lambda one: one
+) -> Path:
     """A release, all records of it of episodes that `forge` had in its hands first."""
 
-    def forged(*given: Any) -> Iterator[Episode]:
+    def forged(*given: Any) -> Iterator[SourceEpisode]:
         return (forge(episode) for episode in episodes_of_logs(*given))
 
     with pytest.MonkeyPatch.context() as patch:
@@ -32,10 +34,10 @@ def made(log: Path, out: Path, *, cap: int = EVERY, forge: Callable[[Episode], E
         return build_release(ReleaseConfig(max_episode_steps=cap, val_fraction=0.5), [log], out).path
 
 
-Verify = Callable[[Path], Report]
+Verify = Callable[[Path], VerificationReport]
 
 
-def outcome(report: Report, name: str) -> str:
+def outcome(report: VerificationReport, name: str) -> str:
     return next(check.outcome for check in report.checks if check.name == name)
 
 
@@ -67,19 +69,19 @@ def at(row: dict[str, Any], **values: Any) -> bool:
     return all(row[name] == value for name, value in values.items())
 
 
-def first(change: Callable[[Episode], Episode]) -> Callable[[Episode], Episode]:
+def first(change: Callable[[SourceEpisode], SourceEpisode]) -> Callable[[SourceEpisode], SourceEpisode]:
     """Forges the first episode of the first stream alone."""
     return lambda one: change(one) if at(one.row, stream=0, segment=0, piece=0) else one
 
 
-def one_pixel(one: Episode) -> Episode:
+def one_pixel(one: SourceEpisode) -> SourceEpisode:
     assert one.images is not None
     images = one.images.copy()
     images[5, 40, 40, 1] ^= 1
     return msgspec.structs.replace(one, images=images)
 
 
-def one_action(one: Episode) -> Episode:
+def one_action(one: SourceEpisode) -> SourceEpisode:
     numbers = {name: array.copy() for name, array in one.numbers.items()}
     action = (int(numbers["action.index"][2]) + 3) % 8 + 1
     numbers["action.index"][2] = action
@@ -87,20 +89,20 @@ def one_action(one: Episode) -> Episode:
     return msgspec.structs.replace(one, numbers=numbers)
 
 
-def one_number(one: Episode) -> Episode:
+def one_number(one: SourceEpisode) -> SourceEpisode:
     numbers = {name: array.copy() for name, array in one.numbers.items()}
     numbers["observation.environment_state"][3, 13] += np.float32(0.01)  # the second object, which is not the agent
     return msgspec.structs.replace(one, numbers=numbers)
 
 
-def one_contact(one: Episode) -> Episode:
+def one_contact(one: SourceEpisode) -> SourceEpisode:
     numbers = {name: array.copy() for name, array in one.numbers.items()}
     numbers["contact.count"][4] += 1
     numbers["contact.impulse"][4] += 1
     return msgspec.structs.replace(one, numbers=numbers)
 
 
-def one_state(one: Episode) -> Episode:
+def one_state(one: SourceEpisode) -> SourceEpisode:
     """The stored state is a hair off in the place of the agent."""
     state = one.keyframes[0].integration_state.copy()
     state[1] += 1e-2
@@ -117,7 +119,7 @@ def one_state(one: Episode) -> Episode:
     ],
 )
 def test_what_was_not_played_is_found_by_the_replay_alone(
-    forge: Callable[[Episode], Episode], words: str, log: Path, tmp_path: Path, verify: Verify
+    forge: Callable[[SourceEpisode], SourceEpisode], words: str, log: Path, tmp_path: Path, verify: Verify
 ) -> None:
     report = verify(made(log, tmp_path / "1.0.0", forge=first(forge)))
     assert [check.name for check in report.checks if check.good is False] == ["replay"]
@@ -141,7 +143,7 @@ def test_a_state_that_makes_the_simulation_end_is_a_problem_and_ends_nothing_els
 ) -> None:
     """All objects in one heap, and asleep: MuJoCo calls exit."""
 
-    def heap(one: Episode) -> Episode:
+    def heap(one: SourceEpisode) -> SourceEpisode:
         state = one.keyframes[0].integration_state.copy()
         count = one.numbers["observation.environment_state"].shape[1] // 13
         poses = state[1 : 1 + 7 * count].reshape(count, 7)

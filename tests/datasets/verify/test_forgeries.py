@@ -11,13 +11,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from gym_open.datasets.verify import Report, run, verify_release
+from gym_open.datasets.verify import VerificationReport, run, verify_release
 from gym_open.files import sha256_file
 from gym_open.formats.pngs import encode_pngs
 from gym_open.formats.releases import IMAGE, open_release
 
 Reseal = Callable[[Path], None]
-Verify = Callable[[Path], Report]
+Verify = Callable[[Path], VerificationReport]
 
 
 @pytest.fixture
@@ -261,7 +261,7 @@ def test_what_does_not_fit_together_is_found(
     assert not any("cannot be checked" in problem.what for problem in report.problems), report.problems
 
 
-def outcomes(report: Report) -> dict[str, str]:
+def outcomes(report: VerificationReport) -> dict[str, str]:
     return {check.name: check.outcome for check in report.checks}
 
 

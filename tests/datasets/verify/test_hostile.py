@@ -17,11 +17,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from gym_open.artefacts import canonical_json
-from gym_open.datasets.verify import Report
+from gym_open.datasets.verify import VerificationReport
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases import IMAGE, open_release, parquet
 
-Quick = Callable[[Path], Report]
+Quick = Callable[[Path], VerificationReport]
 Reseal = Callable[[Path], None]
 DATA = "data/chunk-000/file-000.parquet"
 INFO = "meta/info.json"

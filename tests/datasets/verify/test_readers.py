@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from gym_open.datasets.verify import Report, verify_release
+from gym_open.datasets.verify import VerificationReport, verify_release
 from gym_open.datasets.verify.readers import VARIABLE, python_with_lerobot
 from gym_open.errors import MissingExtraError, UsageError
 
 
-def outcome(report: Report) -> str:
+def outcome(report: VerificationReport) -> str:
     return next(check.outcome for check in report.checks if check.name == "readers")
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gym_open.datasets.verify.replaying import Replay, replay_release
+from gym_open.datasets.verify.replaying import ReplayResult, replay_release
 from gym_open.datasets.verify.report import Findings
 from gym_open.formats.releases.info import read_info
 from gym_open.formats.releases.reader import Release
@@ -27,7 +27,7 @@ replay_apart(release, 1e-3, Findings())
 Numbers = Callable[[int, int], dict[str, np.ndarray]]
 
 
-def replayed(release: Release) -> tuple[Replay, list[str]]:
+def replayed(release: Release) -> tuple[ReplayResult, list[str]]:
     findings = Findings()
     return replay_release(release, 1e-3, findings), [problem.what for problem in findings.problems]
 

@@ -15,7 +15,7 @@ from gym_open.config import to_dict
 from gym_open.datasets import open_release
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
-from gym_open.datasets.writing.sources import Play, explorer_of
+from gym_open.datasets.writing.sources import SourceStream, explorer_of
 from gym_open.datasets.writing.splits import shares_of
 from gym_open.formats.logs.schemas import Switch
 from gym_open.formats.releases.layout import Split
@@ -32,7 +32,7 @@ def test_shares_are_counted_from_switches(segments: list[tuple[int, int]], cap: 
         target = segments[place + 1][1] if place + 1 < len(segments) else -1
         switches.append(Switch(step, world, target, "learned", []))
     log = SimpleNamespace(switches=switches, puzzles=[SimpleNamespace(digest=name) for name in "abc"])
-    play = Play(cast("Any", log), stream=0, parent=0, explorer="")
+    play = SourceStream(cast("Any", log), stream=0, parent=0, explorer="")
     splits: dict[str, Split] = {"a": "train", "b": "val", "c": "train"}
     shares = shares_of(ReleaseConfig(max_episode_steps=cap), [play], splits)
     worlds_of: dict[Split, set[int]] = {"train": {0, 2}, "val": {1}}

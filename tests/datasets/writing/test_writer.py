@@ -19,7 +19,7 @@ from gym_open.datasets import Release, open_release
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.datasets.writing.prepare import Prepared, prepare
-from gym_open.datasets.writing.sources import Episode, Play, episodes_of_logs, episodes_of_release
+from gym_open.datasets.writing.sources import SourceEpisode, SourceStream, episodes_of_logs, episodes_of_release
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases.info import read_info
 from tests.children import run
@@ -45,9 +45,9 @@ def release(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Release:
 
 def interrupted(log: Path, out: Path, after: int, config: ReleaseConfig = CONFIG) -> None:
     """Begin a build that dies as it prepares an episode."""
-    prepared: list[Episode] = []
+    prepared: list[SourceEpisode] = []
 
-    def dies(episode: Episode, *, video: bool) -> Prepared:
+    def dies(episode: SourceEpisode, *, video: bool) -> Prepared:
         prepared.append(episode)
         if len(prepared) == after:
             raise KilledError
@@ -69,9 +69,9 @@ def test_an_interrupted_build_goes_on(
     partial = tmp_path / ".release.partial"
     kept = sum(json.loads(path.read_text())["episodes"] for path in partial.glob("checkpoint/parts/*.json"))
     assert bool(kept) == (after > 2)
-    again: list[Episode] = []
+    again: list[SourceEpisode] = []
 
-    def counts(episode: Episode, *, video: bool) -> Prepared:
+    def counts(episode: SourceEpisode, *, video: bool) -> Prepared:
         again.append(episode)
         return prepare(episode)
 
@@ -95,9 +95,9 @@ def test_a_stream_that_is_all_there_is_not_read_again(make_log: MakeLog, tmp_pat
     log, out, read = make_log(lengths=((30,), (60,))), tmp_path / "release", []
     interrupted(log, out, 7, config)
 
-    def tells(config: ReleaseConfig, plays: list[Play], *rest: Any) -> Iterator[Episode]:
-        read.extend(play.stream for play in plays)
-        return episodes_of_logs(config, plays, *rest)
+    def tells(config: ReleaseConfig, streams: list[SourceStream], *rest: Any) -> Iterator[SourceEpisode]:
+        read.extend(play.stream for play in streams)
+        return episodes_of_logs(config, streams, *rest)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("gym_open.datasets.build.episodes_of_logs", tells)

@@ -24,18 +24,18 @@ from gym_open.summary import probe_table
 from gym_open.train.config import EncoderTrainConfig, ProbeConfig
 from gym_open.train.encoder import train_encoder
 from gym_open.train.probe.probing import TARGETS, logged_puzzles, probe, score
-from gym_open.train.probe.worlds import BODIES, MOVES, ONE_OF_EACH, Sample, draw_samples
+from gym_open.train.probe.worlds import BODIES, MOVES, ONE_OF_EACH, ProbeSample, draw_samples
 
 TINY = ProbeConfig(train_worlds=12, validation_worlds=6, test_worlds=6, moves=2, pixels=False, threads=1)
 POSITIONS = {"agent", "yellow", "green", "heavy", "light"}
 
 
 @pytest.fixture(scope="module")
-def real() -> dict[str, Sample]:
+def real() -> dict[str, ProbeSample]:
     return draw_samples({"train": 220, "validation": 40, "test": 70}, 2, set(), 0)
 
 
-def painted(size: int, rng: np.random.Generator) -> Sample:
+def painted(size: int, rng: np.random.Generator) -> ProbeSample:
     """Plain pictures: red and green are the agent's position, blue says that its next move is blocked."""
     positions = torch.from_numpy(rng.uniform(-0.5, 0.5, size=(size, 2, len(BODIES), 2)))
     blocked = torch.from_numpy(rng.random((size, 1)) < 0.2)
@@ -45,7 +45,7 @@ def painted(size: int, rng: np.random.Generator) -> Sample:
     images = torch.zeros(size, 2, 84, 84, 3, dtype=torch.uint8)
     images[..., :2] = ((positions[:, :, 0] + 0.7) * 180).round().to(torch.uint8)[:, :, None, None]
     images[:, 0, ..., 2] = (blocked * 200).to(torch.uint8)[:, None]
-    return Sample(images, positions, moves, blocked)
+    return ProbeSample(images, positions, moves, blocked)
 
 
 def coder(images: torch.Tensor, architecture: str = "cnn", features: int = 64) -> Encoder:
@@ -72,7 +72,7 @@ def test_worlds_are_fresh_and_distinct() -> None:
     assert len(torch.unique(everything, dim=0)) == 12
 
 
-def test_what_is_said_of_a_move_is_what_happened(real: dict[str, Sample]) -> None:
+def test_what_is_said_of_a_move_is_what_happened(real: dict[str, ProbeSample]) -> None:
     sample = real["train"]
     way = (sample.positions[:, 1:, 0] - sample.positions[:, :-1, 0]).numpy()
     free = ~sample.contacts.numpy()
@@ -107,7 +107,7 @@ def test_what_pictures_tell_is_found_and_what_they_do_not_is_not() -> None:
         )
 
 
-def test_pixels_of_real_worlds_tell_where_things_are(real: dict[str, Sample]) -> None:
+def test_pixels_of_real_worlds_tell_where_things_are(real: dict[str, ProbeSample]) -> None:
     scores = score(
         msgspec.structs.replace(TINY, pixels=True, untrained=1), coder(real["train"].images, features=16), real
     )
@@ -115,9 +115,11 @@ def test_pixels_of_real_worlds_tell_where_things_are(real: dict[str, Sample]) ->
 
 
 def test_an_untrained_encoder_gains_nothing_over_itself(
-    real: dict[str, Sample], monkeypatch: pytest.MonkeyPatch
+    real: dict[str, ProbeSample], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    few = {part: Sample(s.images[:20], s.positions[:20], s.moves[:20], s.contacts[:20]) for part, s in real.items()}
+    few = {
+        part: ProbeSample(s.images[:20], s.positions[:20], s.moves[:20], s.contacts[:20]) for part, s in real.items()
+    }
     encoder = coder(few["train"].images, "impala", features=8)
     monkeypatch.setattr("gym_open.train.probe.probing._untrained", lambda *_: encoder)
     for row in score(TINY, encoder, few).values():

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import mannwhitneyu
 
-from gym_open.train.probe.scores import Score, auc, auc_score, mean_score, r2_score, ratio_score, resample
+from gym_open.train.probe.scores import ProbeScore, auc, auc_score, mean_score, r2_score, ratio_score, resample
 
 RNG = np.random.default_rng(0)
 DRAWS = resample(400, np.random.default_rng(1))
@@ -57,6 +57,6 @@ def test_a_difference_is_taken_resample_by_resample() -> None:
 
 
 def test_mean_of_scores() -> None:
-    found = mean_score([Score(1.0, np.array([0.0, 2.0])), Score(3.0, np.array([2.0, 2.0]))])
+    found = mean_score([ProbeScore(1.0, np.array([0.0, 2.0])), ProbeScore(3.0, np.array([2.0, 2.0]))])
     assert found.value == 2
     np.testing.assert_array_equal(found.resampled, [1, 2])

@@ -1,4 +1,4 @@
-"""Environments side by side for PPO: each draws its puzzles, begins anew by itself, and can be snapshot."""
+"""Vector environment for PPO: each environment draws its puzzles, resets itself, and can be saved and restored."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -15,40 +15,40 @@ from gym_open.envs.vector import OpenVectorEnv
 
 
 @dataclass(frozen=True)
-class Episode:
-    """One attempt at a puzzle that has ended."""
+class FinishedEpisode:
+    """An episode that has ended."""
 
     total: float
     length: int
     success: bool
-    """It ended because its task was done."""
+    """Whether it ended because the task was solved."""
 
 
 @dataclass(frozen=True)
-class Transitions:
-    """What one action of every environment led to; arrays (N,)."""
+class VectorStep:
+    """Result of one step of all environments; arrays (N,)."""
 
     rewards: np.ndarray
     terminations: np.ndarray
     truncations: np.ndarray
     last_seen: dict[int, np.ndarray]
-    """Last observation of each episode that was truncated, by environment."""
-    episodes: list[Episode]
-    """Episodes that ended."""
+    """Last observation of each truncated episode, by environment."""
+    episodes: list[FinishedEpisode]
+    """Episodes that ended in this step."""
 
 
-class Tables:
-    """N environments of one task in an `OpenVectorEnv`; puzzles come from the training distribution.
+class TrainingEnvironments:
+    """N environments of one task in an `OpenVectorEnv`, with puzzles from the training distribution.
 
     Args:
-        task: what is asked for.
+        task: task of all environments.
         num_envs: N.
-        seed: root of the puzzles that are drawn.
-        states: see the state of the simulation, not pictures.
-        threads: that step the environments.
+        seed: root seed of the puzzles.
+        states: observe the simulator state instead of images.
+        threads: number of threads that step the environments.
 
     Attributes:
-        seen: what the next actions will be taken on, (N, 84, 84, 3) uint8 or (N, `STATE_SIZE`) float32.
+        seen: observations for the next actions, (N, 84, 84, 3) uint8 or (N, `STATE_SIZE`) float32.
     """
 
     def __init__(self, task: Task, num_envs: int, seed: int, *, states: bool = False, threads: int = 1) -> None:
@@ -58,10 +58,10 @@ class Tables:
         self._images, _ = self._venv.reset(seed=[seeding.integer(seed, "policy", "env", i) for i in range(num_envs)])
         self.seen = self._look()
 
-    def step(self, actions: np.ndarray) -> Transitions:
-        """Act once in every environment, (N,) int; where an episode ends, `seen` is the first of the next one."""
+    def step(self, actions: np.ndarray) -> VectorStep:
+        """Take one action, (N,) int, per environment. Where an episode ends, `seen` is the first of the next one."""
         _, rewards, terminations, truncations, infos = self._venv.step(actions)
-        after = Transitions(rewards.astype(np.float32), terminations.copy(), truncations.copy(), {}, [])
+        after = VectorStep(rewards.astype(np.float32), terminations.copy(), truncations.copy(), {}, [])
         self.totals += rewards
         self.lengths += 1
         ended = terminations | truncations
@@ -69,7 +69,7 @@ class Tables:
             last = self._look()
             for i in ended.nonzero()[0].tolist():
                 success = bool(terminations[i] and not infos["in_danger"][i])
-                after.episodes.append(Episode(float(self.totals[i]), int(self.lengths[i]), success))
+                after.episodes.append(FinishedEpisode(float(self.totals[i]), int(self.lengths[i]), success))
                 if truncations[i]:
                     after.last_seen[i] = last[i].copy()
             self.totals[ended], self.lengths[ended] = 0, 0
@@ -78,19 +78,19 @@ class Tables:
         return after
 
     def state(self) -> dict[str, Any]:
-        """Everything that going on needs, JSON-ready."""
+        """Return all that `restore` needs, ready for JSON."""
         snapshots = [msgspec.to_builtins(env.snapshot()) for env in self._venv.envs]
         return {"envs": snapshots, "totals": self.totals.tolist(), "lengths": self.lengths.tolist()}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from what `state` gave, bit for bit."""
+        """Continue from what `state` returned, bit for bit."""
         for i, (env, snapshot) in enumerate(zip(self._venv.envs, state["envs"], strict=True)):
             self._images[i] = env.restore(msgspec.convert(snapshot, EnvSnapshot))
         self.totals[:], self.lengths[:] = state["totals"], state["lengths"]
         self.seen = self._look()
 
     def _look(self) -> np.ndarray:
-        """What there is to see; the same array is written again at the next step."""
+        """Current observations. The next step overwrites the same array."""
         if self._states is None:
             return self._images
         for i, env in enumerate(self._venv.envs):
