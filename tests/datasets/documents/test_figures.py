@@ -67,7 +67,7 @@ def test_hostile_names(facts: ReleaseFacts) -> None:
     played = [dataclasses.replace(one, explorer=name, ended=Counter({name: one.episodes})) for one in facts.explorers]
     with plain_style():
         for figure in (_actions, _episodes):
-            assert png(figure(dataclasses.replace(facts, played=played))).startswith(b"\x89PNG")
+            assert png(figure(dataclasses.replace(facts, explorers=played))).startswith(b"\x89PNG")
 
 
 def test_colours_are_told_apart_by_the_colour_blind() -> None:
