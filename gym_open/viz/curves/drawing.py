@@ -21,11 +21,12 @@ from gym_open.results.records import IntervalCurve
 from gym_open.results.rows import RowSummary
 from gym_open.terminal import printable
 from gym_open.viz.curves.sources import TrainedModel
+from gym_open.viz.view import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 
 TIMELINE = "step"
 RETURN = "mean_return"
 """The column of a policy's curve that is drawn."""
-_COLOURS = ((0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (230, 159, 0), (86, 180, 233))
+_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 """Okabe and Ito's palette without black and yellow: each is invisible on one of Rerun's two backgrounds."""
 _GREYS = ((165, 165, 165), (90, 90, 90), (130, 130, 130))
 """Colours of agents that were not trained."""

@@ -199,9 +199,8 @@ def _spans(
     for episode in episodes:
         if episode.segment not in shown or episode.steps.start >= wanted.stop:
             continue
-        for start in range(
-            episode.steps.start, episode.steps.stop, SPAN_STEPS
-        ):  # also steps that are not wanted, because they decide what is stuck
+        # This also reads steps that are not wanted, because they decide what is stuck.
+        for start in range(episode.steps.start, episode.steps.stop, SPAN_STEPS):
             steps = overlap(episode.steps, range(start, start + SPAN_STEPS))
             first = episode.first_frame + steps.start - episode.steps.start
             values = release.numbers(first, first + len(steps) + 1)

@@ -69,9 +69,8 @@ def log_curriculum(rec: rr.RecordingStream, stream: ShownStream) -> None:
         rec.send_columns(f"{name}/switches/{reason}", at, rr.Scalars.columns(scalars=worlds))
     if stream.threshold is not None:
         line = rr.Scalars.columns(scalars=[stream.threshold] * 2)
-        style = rr.SeriesLines(
-            names="threshold: learned", colors=VERMILION, widths=3
-        )  # at the edge of a plot only half of it is visible
+        # The line is thick, because only half of it is visible at the edge of a plot.
+        style = rr.SeriesLines(names="threshold: learned", colors=VERMILION, widths=3)
         rec.log(f"{name}/threshold", style, static=True)
         rec.send_columns(f"{name}/threshold", times([stream.steps.start, stream.steps.stop]), line)
     _log_world_losses(rec, stream)

@@ -8,7 +8,7 @@ import numpy as np
 from gym_open.envs.constants import IMAGE_SIZE
 from gym_open.envs.puzzles.sets import puzzle_by_id
 from gym_open.envs.world import World
-from gym_open.plots import agent_style
+from gym_open.plots import VERMILION, agent_style
 from gym_open.viz.puzzles.episodes import PlayedPuzzle, PuzzleEpisode
 from gym_open.viz.puzzles.film import returns_plot
 from gym_open.viz.puzzles.tables import HARDEST, TaskTable
@@ -154,7 +154,7 @@ def _draw_solved(axes: "Axes", table: TaskTable) -> None:
         shares[row, at] = agent.run.returns[:, -1] / table.best[agent.numbers]
         danger[row, at] = np.where(agent.in_danger, 1.0, np.nan)
     axes.imshow(shares, cmap="cividis", vmin=0, vmax=1, aspect="auto", interpolation="nearest")
-    axes.imshow(danger, cmap=ListedColormap(["#D55E00"]), aspect="auto", interpolation="nearest")
+    axes.imshow(danger, cmap=ListedColormap([VERMILION]), aspect="auto", interpolation="nearest")
     axes.hlines(np.arange(1, len(table.agents)) - 0.5, -0.5, len(place) - 0.5, color="white", linewidth=3)
     axes.set_yticks(range(len(table.agents)), [agent.name for agent in table.agents], fontsize=8)
     axes.set_xlabel("puzzles, the hardest left")
