@@ -22,13 +22,13 @@ Settings = Annotated[C, tyro.conf.arg(name="")]
 
 @dataclass(frozen=True, kw_only=True)
 class StageCommand(Command):
-    """A sub-command that reads its settings from a TOML file of the workspace; options change them."""
+    """A sub-command that reads its settings from a TOML file of the workspace; options override them."""
 
     settings: Any
     workspace: Path = Path()
     """Folder with the five stage folders."""
     config: Path = Path()
-    """TOML file with the settings, which options change."""
+    """TOML file with the settings; options override them."""
 
     default: ClassVar[str]
     """TOML file in the workspace that is used without --config."""

@@ -29,7 +29,7 @@ class VizCommand(StageCommand):
 
     Example: gym-open viz collect/logs/icm
 
-    Others:
+    More examples:
         gym-open viz collect/logs/icm --steps 10000:12000 --save part.rrd
         gym-open viz datasets/open/explore/1.0.0 --episode 3 --web
         gym-open viz evaluate/scores/a evaluate/scores/b --puzzle tool-use/017

@@ -1,4 +1,4 @@
-"""The command line: help with an example everywhere, wrong use refused by name, exit codes."""
+"""The command line: every help text has an example, wrong use is refused by name, and exit codes are right."""
 
 import os
 import shlex
@@ -32,14 +32,14 @@ def test_the_overview_names_every_command(capsys: pytest.CaptureFixture[str]) ->
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_help_shows_an_example_that_is_this_command(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_shows_an_example_of_the_command(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         main([*name.split(), "--help"])
     assert caught.value.code == 0
     assert f"Example: gym-open {name}" in " ".join(capsys.readouterr().out.replace("│", " ").split())
 
 
-def test_help_imports_none_of_the_slow_libraries() -> None:
+def test_help_imports_no_slow_library() -> None:
     code = (
         "import sys; from gym_open.cli import main; main(['--help']);"
         "print([m for m in ('torch', 'mujoco', 'lerobot', 'rerun', 'numba', 'pandas') if m in sys.modules])"
@@ -67,7 +67,7 @@ def test_help_imports_none_of_the_slow_libraries() -> None:
         (["evaluate", "--workspace", "WORKSPACE", "--oracle", "--out", "/proc/x"], "/proc/x: cannot be made"),
     ],
 )
-def test_wrong_use_ends_with_2_and_says_why(
+def test_wrong_use_ends_with_2_and_the_reason(
     words: list[str], said: str, root: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main([word.replace("WORKSPACE", str(root)) for word in words]) == 2
@@ -78,7 +78,7 @@ def test_wrong_use_ends_with_2_and_says_why(
     ("name", "said"),
     [("collect", "no such configuration file"), ("viz", "no source given"), ("run", "not a workspace")],
 )
-def test_a_command_alone_outside_of_a_workspace_says_what_it_wants(
+def test_a_command_without_options_outside_of_a_workspace_says_what_is_missing(
     name: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -86,7 +86,7 @@ def test_a_command_alone_outside_of_a_workspace_says_what_it_wants(
     assert said in capsys.readouterr().err
 
 
-def test_who_stops_reading_sees_no_error() -> None:
+def test_a_reader_that_ends_early_sees_no_error() -> None:
     read, write = os.pipe()
     os.close(read)
     words = [sys.executable, "-m", "gym_open.cli", "puzzle", "show", "tool-use/000"]
@@ -95,8 +95,8 @@ def test_who_stops_reading_sees_no_error() -> None:
     assert (done.returncode, done.stderr) == (1, "")
 
 
-def test_options_that_do_not_go_together_are_told_by_name(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Two levels down, where the parser itself finds out."""
+def test_contradicting_options_are_named(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The options are two levels down, where the parser itself finds the contradiction."""
     with pytest.raises(SystemExit) as caught:
         main(["collect", "--workspace", str(root), "--explorer.world-model", "none"])
     assert caught.value.code == 2
@@ -104,7 +104,7 @@ def test_options_that_do_not_go_together_are_told_by_name(root: Path, capsys: py
 
 
 @pytest.mark.parametrize("form", ["{} {}", "{}={}"])
-def test_of_an_option_given_twice_the_last_counts(form: str, root: Path, tmp_path: Path) -> None:
+def test_the_last_of_two_equal_options_counts(form: str, root: Path, tmp_path: Path) -> None:
     (tmp_path / "first.toml").write_text("seed = 1\nthreads = 3\n")
     (tmp_path / "last.toml").write_text("seed = 2\n")
     pairs = (("--workspace", "nowhere"), ("--config", "nowhere"), ("--config", tmp_path / "first.toml"),
@@ -129,21 +129,21 @@ def test_of_an_option_given_twice_the_last_counts(form: str, root: Path, tmp_pat
         ),
     ],
 )
-def test_scores_of_another_kind_have_a_folder_of_their_own(
+def test_scores_with_other_settings_get_another_folder(
     words: list[str], name: str, root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folders: list[Path] = []
 
     def evaluate(_config: Config, _policy: Path | None, out: Path, **_: object) -> None:
         folders.append(out)
-        raise UsageError("that will do")
+        raise UsageError("enough for the test")
 
     monkeypatch.setattr("gym_open.evaluate.play.evaluate", evaluate)
     assert main(["evaluate", "--workspace", str(root), *words]) == 2
     assert folders == [root / "evaluate/scores" / name]
 
 
-def test_a_shown_puzzles_record_can_be_copied(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_record_of_a_shown_puzzle_can_be_copied(capsys: pytest.CaptureFixture[str]) -> None:
     from gym_open.envs.puzzles import Puzzle
     from gym_open.envs.puzzles.sets import puzzle_by_id
 
@@ -152,16 +152,16 @@ def test_a_shown_puzzles_record_can_be_copied(capsys: pytest.CaptureFixture[str]
     assert Puzzle.from_json(record) == puzzle_by_id("tool-use/017")
 
 
-def test_what_the_disk_refuses_is_an_error_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_error_of_the_file_system_names_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("")
     assert main(["init", str(tmp_path / "file" / "workspace")]) == 1
     assert "Not a directory" in capsys.readouterr().err
 
 
-def test_paths_are_shown_as_they_are_and_commands_can_be_typed(
+def test_paths_are_printed_as_they_are_and_next_commands_can_be_typed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Brackets are no markup, colons no picture; a shell splits what comes next into the words that were meant."""
+    """Brackets are no markup and colons no emoji; a shell splits the next command into the right words."""
     names = ["a[/b]", "[bold]d", "it's :x: here", "back\\", "\x1b[31mred"]
     for name in names:
         root = tmp_path / name
@@ -189,7 +189,7 @@ def test_an_unknown_option_ends_with_2_and_a_suggestion(root: Path, capsys: pyte
 
 
 @pytest.mark.parametrize("file", ["encoder-curl.toml", "probe.toml", "policy-goal-seeking.toml"])
-def test_a_misspelt_key_in_a_file_stops_the_run_before_it_starts(
+def test_a_misspelt_key_in_a_file_ends_the_run_before_it_starts(
     file: str, root: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = root / "train" / file
@@ -208,7 +208,7 @@ def test_a_misspelt_key_in_a_file_stops_the_run_before_it_starts(
         (["evaluate", "--policy", "nowhere"], "nowhere: not an artefact"),
     ],
 )
-def test_a_missing_input_ends_with_1_and_leaves_nothing(
+def test_a_missing_input_ends_with_1_and_leaves_no_file(
     words: list[str], said: str, root: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main([*words, "--workspace", str(root)]) == 1
@@ -216,7 +216,7 @@ def test_a_missing_input_ends_with_1_and_leaves_nothing(
     assert not list(root.glob("*/*/*"))
 
 
-def test_who_is_stopped_is_not_promised_a_checkpoint_that_viz_has_not(
+def test_an_interrupted_viz_does_not_mention_a_checkpoint(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def stop(_: object) -> None:
