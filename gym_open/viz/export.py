@@ -9,11 +9,11 @@ from gym_open.plots import draw_png
 from gym_open.terminal import printable
 from gym_open.viz.config import Choice, VizConfig
 from gym_open.viz.film import FILMS, check_suffix, write_film, write_whole
-from gym_open.viz.play.film import FPS, film
-from gym_open.viz.play.page import open_streams
-from gym_open.viz.play.preview import preview
 from gym_open.viz.recording import LOG, kind_of
 from gym_open.viz.render import shown_look
+from gym_open.viz.streams.film import FPS, film
+from gym_open.viz.streams.page import open_streams
+from gym_open.viz.streams.preview import preview
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -64,7 +64,7 @@ def _page(config: VizConfig, sources: Sequence[Path], choice: Choice) -> PageDra
         choice.refuse_others("scores", {"puzzle"})
         return PageDrawing(*overview(read_tables(sources)))
     if len(sources) == 1 and kinds <= {LOG, "release"}:
-        from gym_open.viz.play.still import play_page
+        from gym_open.viz.streams.still import play_page
 
         title, streams = open_streams(sources[0], choice)
         return PageDrawing(*play_page(printable(title), streams))

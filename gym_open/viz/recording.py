@@ -45,9 +45,9 @@ def open_view(config: VizConfig, sources: Sequence[Path], choice: Choice) -> Vie
 
         return features.view(config, sources[0], choice)
     if alone and found <= _EXPLORED:
-        from gym_open.viz import play
+        from gym_open.viz import streams
 
-        return play.view(config, sources[0], choice)
+        return streams.view(config, sources[0], choice)
     if found <= _LEARNED:
         from gym_open.viz import curves
 

@@ -15,9 +15,9 @@ from gym_open.formats.logs import log_files, open_log
 from gym_open.viz.config import Choice, VizConfig
 from gym_open.viz.export import write_still, write_video
 from gym_open.viz.film import write_whole
-from gym_open.viz.play.page import open_streams
-from gym_open.viz.play.preview import preview
-from gym_open.viz.play.still import play_page
+from gym_open.viz.streams.page import open_streams
+from gym_open.viz.streams.preview import preview
+from gym_open.viz.streams.still import play_page
 from gym_open.viz.strip import Plot, PlotLine, Strip
 
 MakeLog = Callable[..., Path]

@@ -51,7 +51,7 @@ def sources(make_log: MakeLog, tmp_path_factory: pytest.TempPathFactory) -> dict
 def opened(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Any]]:
     """Collects the modules of opened views with their sources."""
     calls: list[tuple[str, Any]] = []
-    for name in ("play", "puzzles", "features", "curves"):
+    for name in ("streams", "puzzles", "features", "curves"):
 
         def view(config: VizConfig, given: Any, choice: Choice, name: str = name) -> None:
             del config, choice
@@ -64,11 +64,11 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Any]]:
 @pytest.mark.parametrize(
     ("names", "choice", "view"),
     [
-        (["log"], {}, "play"),
-        (["file"], {"stream": 0}, "play"),
-        (["killed"], {}, "play"),
-        (["odd"], {}, "play"),
-        (["release"], {"episode": 3}, "play"),
+        (["log"], {}, "streams"),
+        (["file"], {"stream": 0}, "streams"),
+        (["killed"], {}, "streams"),
+        (["odd"], {}, "streams"),
+        (["release"], {"episode": 3}, "streams"),
         (["encoder"], {}, "features"),
         (["encoder"], {"release": Path("r")}, "features"),
         (["log"], {"release": Path("r")}, "features"),

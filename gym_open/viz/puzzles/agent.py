@@ -8,8 +8,8 @@ from gym_open.envs.physics.model import kind_of
 from gym_open.envs.puzzles import Puzzle
 from gym_open.formats.pngs import encode_pngs
 from gym_open.plots import agent_style, rgb
-from gym_open.viz.play.table import Trail, log_contacts, log_moves, log_objects, log_scenery, log_styles, log_table
 from gym_open.viz.puzzles.episodes import PuzzleEpisode
+from gym_open.viz.streams.table import Trail, log_contacts, log_moves, log_objects, log_scenery, log_styles, log_table
 from gym_open.viz.view import YELLOW, tensors, times
 
 _REACH = 0.3

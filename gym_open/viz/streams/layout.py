@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import rerun.blueprint as rrb
 
-from gym_open.viz.play.images import DEPTH, IMAGE, SEGMENTATION
-from gym_open.viz.play.series import series_entity
-from gym_open.viz.play.streams import ACTION, CONTACTS, ENTROPY, LOSS, PART, REWARD, VALUE, ShownStream
+from gym_open.viz.streams.images import DEPTH, IMAGE, SEGMENTATION
+from gym_open.viz.streams.model import ACTION, CONTACTS, ENTROPY, LOSS, PART, REWARD, VALUE, ShownStream
+from gym_open.viz.streams.series import series_entity
 
 
 def blueprint(streams: Sequence[ShownStream]) -> rrb.Blueprint:

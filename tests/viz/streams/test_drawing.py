@@ -13,7 +13,7 @@ from gym_open.datasets.config import ReleaseConfig
 from gym_open.envs.constants import CELL_0, PITCH
 from gym_open.formats.logs import Segment, log_files, open_logs
 from gym_open.formats.pngs import decode_png
-from gym_open.viz import play, viewers
+from gym_open.viz import streams, viewers
 from gym_open.viz.config import Choice, VizConfig
 
 PARTS = ("forward", "inverse")
@@ -28,7 +28,7 @@ MakeLog = Callable[..., Path]
 
 
 def recorded(source: Path, save: Path, config: VizConfig | None = None, **picked: Any) -> Path:
-    return viewers.save(play.view(config or VizConfig(), source, Choice(**picked)), save)
+    return viewers.save(streams.view(config or VizConfig(), source, Choice(**picked)), save)
 
 
 @pytest.fixture(scope="module")
@@ -246,7 +246,7 @@ def test_everything_is_thinned_by_the_documented_rule(
 def test_the_trail_has_shown_and_other_steps_of_its_segment_only(
     log: Path, segments: list[Segment], tmp_path: Path, read_back: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gym_open.viz.play.logs.SPAN_STEPS", 3)
+    monkeypatch.setattr("gym_open.viz.streams.logs.SPAN_STEPS", 3)
     recording = read_back(recorded(log, tmp_path / "trail.rrd", VizConfig(max_poses=6, trail_steps=5), stream=0))
     steps, strips = recording.column("/stream_0/table/trail", "LineStrips3D:strips")
     assert set(steps) == {*range(0, 25, 4)} | {segment.first_step for segment in segments}
@@ -259,7 +259,7 @@ def test_the_trail_has_shown_and_other_steps_of_its_segment_only(
 def test_long_segments_are_drawn_in_spans(
     log: Path, segments: list[Segment], tmp_path: Path, read_back: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gym_open.viz.play.logs.SPAN_STEPS", 5)
+    monkeypatch.setattr("gym_open.viz.streams.logs.SPAN_STEPS", 5)
     recording = read_back(recorded(log, tmp_path / "pieces.rrd", VizConfig(max_poses=3), stream=0))
     assert list(recording.scalars("/stream_0/series/value")) == list(range(24))
     steps, centres = recording.column("/stream_0/table/agent", "Ellipsoids3D:centers")

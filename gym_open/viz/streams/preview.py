@@ -10,8 +10,8 @@ from gym_open import progress
 from gym_open.envs.puzzles import Puzzle
 from gym_open.formats.pngs import decode_png
 from gym_open.plots import BLUE, GREY, ORANGE
-from gym_open.viz.play.images import CoverageMap
-from gym_open.viz.play.streams import ACTION, ENTROPY, LOSS, REWARD, VALUE, ShownStream, Span
+from gym_open.viz.streams.images import CoverageMap
+from gym_open.viz.streams.model import ACTION, ENTROPY, LOSS, REWARD, VALUE, ShownStream, Span
 from gym_open.viz.strip import Plot, PlotLine
 
 _BINS = 800

@@ -5,7 +5,7 @@ import rerun as rr
 from rerun.components import MarkerShape
 
 from gym_open.terminal import printable
-from gym_open.viz.play.streams import ACTION, CONTACTS, ENTROPY, LOSS, PART, REWARD, VALUE, ShownStream, Span
+from gym_open.viz.streams.model import ACTION, CONTACTS, ENTROPY, LOSS, PART, REWARD, VALUE, ShownStream, Span
 from gym_open.viz.view import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, YELLOW, tensors, times
 
 LINES = {

@@ -9,7 +9,7 @@ from gym_open.envs import constants as c
 from gym_open.envs.constants import CELL_0, COLUMNS, PITCH, ROWS
 from gym_open.envs.physics.model import kind_of
 from gym_open.terminal import printable
-from gym_open.viz.play.streams import Span
+from gym_open.viz.streams.model import Span
 from gym_open.viz.view import tensors, times
 
 IMAGE, DEPTH, SEGMENTATION = "observation/image", "observation/depth", "observation/segmentation"

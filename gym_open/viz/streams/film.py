@@ -12,8 +12,8 @@ from gym_open.envs.puzzles import Puzzle
 from gym_open.envs.world import World
 from gym_open.plots import coverage_image
 from gym_open.viz.film import FAINT, INK, PAPER, enlarged, even, typeface
-from gym_open.viz.play.preview import ShownStep, StreamPreview, others_named
 from gym_open.viz.render import DIRECTIONS, Look, painter, pose
+from gym_open.viz.streams.preview import ShownStep, StreamPreview, others_named
 from gym_open.viz.strip import Strip
 
 FPS = 20

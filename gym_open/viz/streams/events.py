@@ -9,8 +9,8 @@ import rerun as rr
 from gym_open.formats.logs import Stuck, Switch
 from gym_open.markdown import cell, table
 from gym_open.terminal import printable
-from gym_open.viz.play.images import CoverageMap
-from gym_open.viz.play.streams import CONTACTS, REWARD, ShownSegment, ShownStream, Span
+from gym_open.viz.streams.images import CoverageMap
+from gym_open.viz.streams.model import CONTACTS, REWARD, ShownSegment, ShownStream, Span
 from gym_open.viz.view import log_document, times
 
 _MOST = 6

@@ -17,7 +17,7 @@ from gym_open.formats.pngs import encode_pngs
 from gym_open.formats.releases import IMAGE, Release
 from gym_open.formats.releases.layout import PART as PART_COLUMN
 from gym_open.viz.config import Choice
-from gym_open.viz.play.streams import (
+from gym_open.viz.streams.model import (
     ACTION,
     CONTACTS,
     ENTROPY,

@@ -1,10 +1,10 @@
 """Exploration in Rerun: a log (also a damaged one), a release, or part of one, with one tab per stream.
 
-`page.view` is the entry point. `logs` and `releases` read a source as streams of spans (`streams`). `drawing` fills a
+`page.view` is the entry point. `logs` and `releases` read a source as streams of spans (`model`). `drawing` fills a
 recording: `images`, `table`, `series` and `events` each draw their part. `layout` arranges the screen. For people
 without Rerun, `film` and `still` draw the `preview` of a stream.
 """
 
-from gym_open.viz.play.page import view
+from gym_open.viz.streams.page import view
 
 __all__ = ["view"]

@@ -11,7 +11,7 @@ from gym_open.envs.physics.contacts import thing_names
 from gym_open.envs.physics.model import build_model, model_xml
 from gym_open.formats.logs import Log, LogError, Segment, found_files, open_whole_part
 from gym_open.formats.pngs import encode_pngs
-from gym_open.viz.play.streams import (
+from gym_open.viz.streams.model import (
     ACTION,
     CONTACTS,
     ENTROPY,

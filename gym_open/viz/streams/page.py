@@ -11,10 +11,10 @@ from gym_open.formats.releases import open_release
 from gym_open.formats.releases.reader import Release
 from gym_open.viz import documents
 from gym_open.viz.config import Choice, VizConfig
-from gym_open.viz.play import logs, releases
-from gym_open.viz.play.drawing import log_stream
-from gym_open.viz.play.layout import blueprint
-from gym_open.viz.play.streams import ShownStream, chosen
+from gym_open.viz.streams import logs, releases
+from gym_open.viz.streams.drawing import log_stream
+from gym_open.viz.streams.layout import blueprint
+from gym_open.viz.streams.model import ShownStream, chosen
 from gym_open.viz.view import View, log_document
 
 _CACHED_GROUPS = 2

@@ -10,7 +10,7 @@ import rerun as rr
 
 from gym_open.envs.puzzles import SIDES, Patch, Pen, Placement, Puzzle, Side
 from gym_open.envs.world import World
-from gym_open.viz.play.table import log_scenery
+from gym_open.viz.streams.table import log_scenery
 from gym_open.viz.view import times
 
 GEOMS = {

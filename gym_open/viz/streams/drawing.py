@@ -24,9 +24,9 @@ import rerun as rr
 
 from gym_open import progress
 from gym_open.viz.config import VizConfig
-from gym_open.viz.play import events, images, series, table
-from gym_open.viz.play.images import CoverageMap
-from gym_open.viz.play.streams import ACTION, ShownStream, Span
+from gym_open.viz.streams import events, images, series, table
+from gym_open.viz.streams.images import CoverageMap
+from gym_open.viz.streams.model import ACTION, ShownStream, Span
 from gym_open.viz.view import times
 
 

@@ -12,7 +12,7 @@ from gym_open.datasets.config import ReleaseConfig
 from gym_open.errors import ArtefactError, UsageError
 from gym_open.formats.logs import log_files, open_logs
 from gym_open.formats.releases import open_release
-from gym_open.viz import play, viewers
+from gym_open.viz import streams, viewers
 from gym_open.viz.config import Choice, VizConfig
 
 MakeLog = Callable[..., Path]
@@ -30,7 +30,7 @@ def release(log: Path, no_figures: None, tmp_path_factory: pytest.TempPathFactor
 
 
 def rewards(source: Path, save: Path, read_back: Any, **picked: Any) -> dict[str, dict[int, float]]:
-    recording = read_back(viewers.save(play.view(VizConfig(), source, Choice(**picked)), save))
+    recording = read_back(viewers.save(streams.view(VizConfig(), source, Choice(**picked)), save))
     entities = [name for name in recording.entities() if name.endswith("series/intrinsic_reward")]
     return {name.split("/")[1]: recording.scalars(name) for name in sorted(entities)}
 
@@ -69,7 +69,7 @@ def test_an_episode_of_a_release(release: Path, log: Path, tmp_path: Path, read_
 
 def test_a_selected_part_is_shown_with_its_context(log: Path, tmp_path: Path, read_back: Any) -> None:
     """The context is sizes and names of objects, the last observation, and the losses at the last switch."""
-    path = viewers.save(play.view(VizConfig(), log, Choice(steps=range(7, 19))), tmp_path / "part.rrd")
+    path = viewers.save(streams.view(VizConfig(), log, Choice(steps=range(7, 19))), tmp_path / "part.rrd")
     recording = read_back(path)
     assert recording.column("/stream_0/table/agent", "Ellipsoids3D:labels")[0] == [7, 17]
     assert recording.column("/stream_0/observation/image", "EncodedImage:blob")[0] == list(range(7, 20))
@@ -91,21 +91,21 @@ def test_a_selected_part_is_shown_with_its_context(log: Path, tmp_path: Path, re
 )
 def test_a_part_that_does_not_exist_is_refused(log: Path, picked: dict[str, Any], message: str) -> None:
     with pytest.raises(UsageError, match=message):
-        play.view(VizConfig(), log, Choice(**picked))
+        streams.view(VizConfig(), log, Choice(**picked))
 
 
 def test_an_episode_that_does_not_exist_is_refused(release: Path) -> None:
     with pytest.raises(UsageError, match="has the episodes 0 to 7, got 9"):
-        play.view(VizConfig(), release, Choice(episode=9))
+        streams.view(VizConfig(), release, Choice(episode=9))
     with pytest.raises(UsageError, match="episode 0 belongs to stream"):
-        play.view(VizConfig(), release, Choice(episode=0, stream=5))
+        streams.view(VizConfig(), release, Choice(episode=0, stream=5))
 
 
 def test_a_damaged_log_is_shown_up_to_the_damage(log: Path, tmp_path: Path, read_back: Any) -> None:
     ((whole,), _) = log_files(log)
     cut = tmp_path / whole.name
     cut.write_bytes(whole.read_bytes()[:-100])  # only the index is cut off: all steps are complete
-    recording = read_back(viewers.save(play.view(VizConfig(), cut, Choice()), tmp_path / "cut.rrd"))
+    recording = read_back(viewers.save(streams.view(VizConfig(), cut, Choice()), tmp_path / "cut.rrd"))
     found = recording.scalars("/stream_0/series/intrinsic_reward")
     assert found == of_log(log, 0, range(24))
     _, texts = recording.column("/stream_0/events", "TextLog:text")
@@ -121,4 +121,4 @@ def test_a_log_without_a_complete_step_is_refused(log: Path, tmp_path: Path) -> 
     cut = tmp_path / whole.name
     cut.write_bytes(whole.read_bytes()[:3000])
     with pytest.raises(ArtefactError, match=r"stream-000-000\.mcap"):
-        play.view(VizConfig(), cut, Choice())
+        streams.view(VizConfig(), cut, Choice())

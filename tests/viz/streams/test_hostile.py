@@ -16,8 +16,8 @@ from gym_open.errors import ArtefactError
 from gym_open.formats.logs import LogHead, LogWriter, SegmentStart, StepRecord, Switch
 from gym_open.formats.releases import open_release
 from gym_open.viz.config import Choice, VizConfig
-from gym_open.viz.play import logs, releases
 from gym_open.viz.recording import open_view
+from gym_open.viz.streams import logs, releases
 
 MakeLog = Callable[..., Path]
 

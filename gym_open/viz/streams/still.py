@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 from gym_open.envs.constants import CONTROL_DT_S, PITCH
 from gym_open.plots import draw_coverage
-from gym_open.viz.play.preview import StreamPreview, others_named, preview
-from gym_open.viz.play.streams import ShownStream
+from gym_open.viz.streams.model import ShownStream
+from gym_open.viz.streams.preview import StreamPreview, others_named, preview
 from gym_open.viz.strip import draw_plot
 
 if TYPE_CHECKING:
