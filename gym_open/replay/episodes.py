@@ -86,7 +86,7 @@ def puzzle_of(file: Path, record: Scores, row: dict[str, Any]) -> Puzzle:
     if not 0 < len(actions) == len(rewards) == row["steps"] <= step_budget(record.task):
         raise refused(file, row, f"{row['steps']} steps with {len(actions)} actions and {len(rewards)} rewards")
     if not all(0 <= action < N_ACTIONS for action in actions):
-        raise refused(file, row, f"an action that is none of 0 to {N_ACTIONS - 1}")
+        raise refused(file, row, f"an action outside 0 to {N_ACTIONS - 1}")
     if not np.isfinite(rewards).all():
         raise refused(file, row, "a reward that is not finite")
     return puzzle

@@ -210,7 +210,7 @@ def _damage_at(offset: int) -> Iterator[None]:
         yield
     except (McapError, struct.error, ValueError, LookupError, OverflowError, zstandard.ZstdError) as error:
         what = f"{type(error).__name__}: {error}".removeprefix("ValueError: ")
-        raise Damage(offset, f"the record that begins here makes no sense ({what})") from None
+        raise Damage(offset, f"the record that begins here is invalid ({what})") from None
 
 
 class _Checksums:

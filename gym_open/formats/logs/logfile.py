@@ -121,7 +121,7 @@ def open_whole_chunks(path: Path) -> tuple[LogFile, Damage | None]:
         elif not contents.chunks or contents.chunks[-1].offset >= damage.offset:
             following = None  # the record stands after the damage
         if following not in (None, {"part": str(part + 1)}):
-            raise ValueError(f"part {part} goes on in {following}, expected part {part + 1}")
+            raise ValueError(f"part {part} continues in {following}, expected part {part + 1}")
         if damage is not None:
             contents = _before_damage(path, contents, damage, before)
     except Damage as damage:

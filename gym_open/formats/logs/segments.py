@@ -122,7 +122,7 @@ class _SegmentPiece:
                 f"before step {self.next_step}"
             )
         if not all(np.array_equal(_shown(frame, name), _shown(now, name)) for name in _SHOWN):
-            raise ValueError(f"segment {known.index}: the keyframe before step {self.next_step} is not the state there")
+            raise ValueError(f"segment {known.index}: the keyframe before step {self.next_step} differs from the state there")
         self.start = frame
         self.keyframes.append(Keyframe(frame.segment_step, frame.integration_state))
 
@@ -137,7 +137,7 @@ class _SegmentPiece:
         if step.action >= N_ACTIONS:
             raise ValueError(f"step {step.step} has the action {step.action}, expected 0 to {N_ACTIONS - 1}")
         if (found := len(step.metrics.reward_parts)) != parts:
-            raise ValueError(f"step {step.step} has {found} parts of its reward, the log names {parts}")
+            raise ValueError(f"step {step.step} has {found} reward parts, the log names {parts}")
         self.steps.append(step)
 
     def lay_out(self, stream: int, parts: tuple[str, ...], ended: Ended | None) -> Segment:
@@ -229,7 +229,7 @@ def segments(
 
 def _within(piece: _SegmentPiece | None, step: StepRecord) -> _SegmentPiece:
     if piece is None:
-        raise ValueError(f"step {step.step} stands in no segment")
+        raise ValueError(f"step {step.step} belongs to no segment")
     return piece
 
 

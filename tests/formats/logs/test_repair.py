@@ -231,10 +231,10 @@ def test_undamaged_bytes_that_do_not_form_a_log_are_an_error(made_up: Any, tmp_p
         for message in messages_of(record, made_up.head.reward_parts):
             files.put(message)
     files.finish()
-    with pytest.raises(LogError, match="step 0 has 2 parts of its reward, the log names 1000; restore"):
+    with pytest.raises(LogError, match="step 0 has 2 reward parts, the log names 1000; restore"):
         repair(stepless)
     stepless.write_bytes(stepless.read_bytes()[:-30])
-    with pytest.raises(LogError, match=rf"{stepless}: step 0 has 2 parts .*; nothing can be saved"):
+    with pytest.raises(LogError, match=rf"{stepless}: step 0 has 2 reward parts.*; nothing can be saved"):
         repair(stepless)
     assert list(tmp_path.iterdir()) == [stepless]
 
