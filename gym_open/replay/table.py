@@ -61,14 +61,10 @@ def _report(found: Sequence[tuple[Log, list[ReplayWindow]]], tolerance: float) -
         for log, _ in found
         if not same_model(log)
     ]
-    tables = [stream_table([windows for _, windows in found], tolerance)]
-    others = [window for _, windows in found for window in windows if window.verdict != "identical"]
-    others.sort(key=lambda window: -VERDICTS.index(window.verdict))
-    if others:
-        tables.append(window_table(others))
-    report = ReplayReport(worst_verdict(others), tables, notes)
+    every = [window for _, windows in found for window in windows]
+    report = ReplayReport(worst_verdict(every), replay_tables(every, tolerance), notes)
     if report.verdict == "diverged":
-        first = others[0]
+        first = _worst_first(every)[0]
         report.first_diverged = f"stream {first.stream}, segment {first.segment}, step {first.first_diverged}"
     return report
 
@@ -78,12 +74,26 @@ def worst_verdict(windows: Sequence[ReplayWindow]) -> Verdict:
     return VERDICTS[max((VERDICTS.index(window.verdict) for window in windows), default=0)]
 
 
-def stream_table(streams: Sequence[list[ReplayWindow]], tolerance: float) -> Table:
-    """One row per stream."""
+def replay_tables(windows: Sequence[ReplayWindow], tolerance: float) -> list[Table]:
+    """One table with a row per stream and, if windows differ, one with a row for each of the worst `SHOWN` windows."""
+    streams: dict[int, list[ReplayWindow]] = {}
+    for window in sorted(windows, key=lambda window: window.stream):
+        streams.setdefault(window.stream, []).append(window)
+    others = _worst_first(windows)
+    return [_stream_table(list(streams.values()), tolerance), *([_window_table(others)] if others else [])]
+
+
+def _worst_first(windows: Sequence[ReplayWindow]) -> list[ReplayWindow]:
+    """The windows that are not identical, the worst first."""
+    others = [window for window in windows if window.verdict != "identical"]
+    return sorted(others, key=lambda window: -VERDICTS.index(window.verdict))
+
+
+def _stream_table(streams: Sequence[list[ReplayWindow]], tolerance: float) -> Table:
     title = f"windows by verdict, tolerance {tolerance:g}; what differs"
     columns = ("stream", "steps", "identical", "within", "diverged", "off by", "contacts", "pixels")
     table = titled_table(title, columns, right=columns)
-    for windows in filter(None, streams):
+    for windows in streams:
         counts = [sum(window.verdict == verdict for window in windows) for verdict in VERDICTS]
         table.add_row(
             str(windows[0].stream), f"{sum(window.steps for window in windows):,}",
@@ -93,8 +103,7 @@ def stream_table(streams: Sequence[list[ReplayWindow]], tolerance: float) -> Tab
     return table
 
 
-def window_table(windows: Sequence[ReplayWindow]) -> Table:
-    """One row for each of the first `SHOWN` windows, all of which differ."""
+def _window_table(windows: Sequence[ReplayWindow]) -> Table:
     title = f"windows that are not identical ({min(len(windows), SHOWN)} of {len(windows)}), from which step on"
     columns = ("segment", "differs", "diverges", "worst", "off by", "contacts", "pixels")
     table = titled_table(title, columns, right=set(columns) - {"worst"})

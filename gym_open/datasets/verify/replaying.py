@@ -17,8 +17,8 @@ from gym_open.errors import GymOpenError
 from gym_open.formats.releases.features import STATE_FIELDS
 from gym_open.formats.releases.layout import data_path
 from gym_open.formats.releases.reader import Release
-from gym_open.replay.player import VERDICTS, Player, RecordedObservation, ReplayWindow
-from gym_open.replay.table import stream_table, window_table, worst_verdict
+from gym_open.replay.player import Player, RecordedObservation, ReplayWindow
+from gym_open.replay.table import replay_tables, worst_verdict
 
 
 class ReplayResult(msgspec.Struct):
@@ -39,13 +39,8 @@ class ReplayResult(msgspec.Struct):
         return f"{worst_verdict(self.windows)} ({self.steps:,} steps in {len(self.windows):,} windows{left})"
 
     def tables(self, tolerance: float) -> list[Table]:
-        """A row a stream, and the windows that are not identical."""
-        by_number: dict[int, list[ReplayWindow]] = {}
-        for window in sorted(self.windows, key=lambda window: window.stream):
-            by_number.setdefault(window.stream, []).append(window)
-        others = [window for window in self.windows if window.verdict != "identical"]
-        others.sort(key=lambda window: -VERDICTS.index(window.verdict))
-        return [stream_table(list(by_number.values()), tolerance)] + ([window_table(others)] if others else [])
+        """One row per stream, and the windows that are not identical."""
+        return replay_tables(self.windows, tolerance)
 
 
 def replay_release(release: Release, tolerance: float, findings: Findings) -> ReplayResult:

@@ -122,7 +122,9 @@ class _SegmentPiece:
                 f"before step {self.next_step}"
             )
         if not all(np.array_equal(_shown(frame, name), _shown(now, name)) for name in _SHOWN):
-            raise ValueError(f"segment {known.index}: the keyframe before step {self.next_step} differs from the state there")
+            raise ValueError(
+                f"segment {known.index}: the keyframe before step {self.next_step} differs from the state there"
+            )
         self.start = frame
         self.keyframes.append(Keyframe(frame.segment_step, frame.integration_state))
 

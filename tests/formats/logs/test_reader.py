@@ -284,8 +284,14 @@ def flawed(made: list[Record], flaw: Flaw) -> list[Record]:
         ((Switch, 1, {"reason": "start"}), r"the switch at step 4 leaves world 1 \(start\)"),
         ((SegmentStart, 0, None), "step 0 belongs to no segment"),
         ((SegmentStart, 1, {"segment_step": 1}), "a keyframe of segment 0, step 1, stands in segment 0 before step 2"),
-        ((SegmentStart, 1, {"object_state": np.zeros((3, 13))}), "the keyframe before step 2 differs from the state there"),
-        ((SegmentStart, 1, {"image": np.zeros((84, 84, 3), np.uint8)}), "the keyframe before step 2 differs from the state"),
+        (
+            (SegmentStart, 1, {"object_state": np.zeros((3, 13))}),
+            "the keyframe before step 2 differs from the state there",
+        ),
+        (
+            (SegmentStart, 1, {"image": np.zeros((84, 84, 3), np.uint8)}),
+            "the keyframe before step 2 differs from the state",
+        ),
         ((SegmentStart, 2, {"index": 2}), "segment 2 in world 0 begins at step 4, where segment 1"),
         ((SegmentStart, 2, {"first_step": 5}), "segment 1 in world 0 begins at step 5"),
         (
