@@ -1,4 +1,4 @@
-"""What a scores artefact holds: `scores.json`, and `episodes.parquet` with a row a puzzle. `evaluate` writes them."""
+"""Files of a scores artefact: `scores.json`, and `episodes.parquet` with a row per puzzle; `evaluate` writes them."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -17,34 +17,33 @@ RECORD, EPISODES = "scores.json", "episodes.parquet"
 
 
 class Proof(msgspec.Struct, frozen=True):
-    """What can be said of a policy's origin.
+    """The task-free proof of a policy.
 
-    `proven`: the whole chain is there and task-free. `no encoder`: nothing was learned before the task.
-    `missing`: the chain breaks where `reasons` says, and nothing is certified.
-    `not applicable`: what played is no policy.
+    `proven`: the whole chain was found and is task-free. `no encoder`: nothing was learned before the task.
+    `missing`: the chain breaks for the `reasons`, and nothing is proven. `not applicable`: the player is no policy.
     """
 
     verdict: Literal["proven", "no encoder", "missing", "not applicable"]
     reasons: list[str]
     chain: list[str]
-    """A line for each link, from the policy down to the logs."""
+    """A line per link, from the policy down to the logs."""
     rests_on: str = ""
-    """What must be believed, since records cannot show it, and how to find out."""
+    """What records cannot show and must be believed, and how to check it."""
 
 
 class Scores(msgspec.Struct, frozen=True, kw_only=True):
-    """Contents of `scores.json`: who played what, how well, and what is known of where the player comes from."""
+    """Content of `scores.json`: player, task, results, and the origin of the player."""
 
     task: Literal["goal-seeking", "preferences", "avoidance", "tool-use"]
     split: Split
     agent: str
-    """Name of the agent in tables; `random`, `oracle` and `human` are no policies."""
+    """Name of the agent in tables; `random`, `oracle` and `human` have no policy."""
     seed: int | None
-    """Root seed of the policy's training; of `random`, that of its actions; None if there is none."""
+    """Root seed of the policy's training; for `random`, of its actions; None if there is none."""
     evaluation_seed: int | None
     """Root seed of sampled actions; None if nothing was drawn."""
     trained: int
-    """Agent steps on the task behind the weights that were scored; 0 for what is no policy."""
+    """Agent steps on the task behind the weights that were scored; 0 without a policy."""
     actions: Literal["sampled", "greedy", "witnesses", "keyboard"]
     """How actions were chosen."""
     policy: str | None
@@ -53,41 +52,41 @@ class Scores(msgspec.Struct, frozen=True, kw_only=True):
     code: str
     """Version of gym-open that evaluated."""
     hardware: dict[str, str | int]
-    """What it was evaluated on."""
+    """Hardware of the evaluation."""
     precision: Precision | None = None
-    """Arithmetic in which the policy was trained (scoring computes in fp32); None for what is no policy, and in scores
-    of gym-open 0.1."""
+    """Arithmetic of the policy's training (scoring computes in fp32); None without a policy, and in scores of gym-open
+    0.1."""
     a_success: float
     a_success_half_width_95: float
-    """Half of the width of the 95% normal interval over puzzles: another draw of puzzles, not another training seed."""
+    """Half of the width of the 95% normal interval over puzzles; it does not cover another training seed."""
     mean_return: float
-    """Within all N actions of the task's budget."""
+    """Return within all N actions of the task's budget."""
     mean_return_within: list[float]
-    """Within 1…N actions."""
+    """Return within 1…N actions."""
     mean_steps: float
-    """Actions until an episode was over."""
+    """Actions until the end of an episode."""
     puzzles: int
-    """How many were played."""
+    """Number of puzzles that were played."""
 
 
 def read_scores(scores: Path) -> Scores:
-    """The record of the scores artefact at `scores`, every byte of which is checked first.
+    """Check every byte of the scores artefact at `scores`, and read its record.
 
     Raises:
-        ArtefactError: if it is damaged, no `scores`, or its record is not as gym-open writes it.
+        ArtefactError: if it is damaged, is no scores artefact, or its record is not as gym-open writes it.
     """
     artefacts.verify(scores, "scores")
     path = scores / RECORD
     try:
         return msgspec.json.decode(path.read_bytes(), type=Scores)
     except FileNotFoundError:
-        raise ArtefactError(f"{path}: missing, so there are no scores here; evaluate again") from None
+        raise ArtefactError(f"{path}: missing, so there are no scores; evaluate again") from None
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ArtefactError(f"{path}: not scores as this version writes them: {error}; evaluate again") from None
 
 
 def episodes_schema() -> "pa.Schema":
-    """Columns of `episodes.parquet`."""
+    """Return the columns of `episodes.parquet`."""
     import pyarrow as pa
 
     return pa.schema(
@@ -105,7 +104,7 @@ def episodes_schema() -> "pa.Schema":
 
 
 def read_episodes(scores: Path) -> list[dict[str, Any]]:
-    """The rows of `episodes.parquet`, as plain data.
+    """Read the rows of `episodes.parquet` as plain data.
 
     Raises:
         ArtefactError: if it is missing, damaged, has other columns, or more rows than a set has puzzles.

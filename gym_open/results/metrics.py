@@ -5,7 +5,7 @@ from numpy.typing import ArrayLike
 
 
 def mean_return_within(rewards: ArrayLike) -> np.ndarray:
-    """Mean return within 1…N actions over puzzles.
+    """Return the mean return within 1…N actions over puzzles.
 
     Args:
         rewards: extrinsic reward of every action, zeros after an episode's end, shape (puzzles, N).
@@ -23,9 +23,9 @@ def mean_return_within(rewards: ArrayLike) -> np.ndarray:
 
 
 def a_success(s: ArrayLike) -> float:
-    """A-Success: mean returns within 1…N actions, weighted so that early success counts more.
+    """Return A-Success: mean returns within 1…N actions, weighted so that early success counts more.
 
-    Σ α_i s_i / Σ α_i with α_i = ln(i + 1) − ln i. If everything is solved at action k, this is 1 − ln k / ln(N + 1).
+    Σ α_i s_i / Σ α_i with α_i = ln(i + 1) − ln i. If every puzzle is solved at action k, this is 1 − ln k / ln(N + 1).
 
     Args:
         s: s_1…s_N, mean returns within 1…N actions, shape (N,).

@@ -1,7 +1,7 @@
-"""What the paper reports: its table of A-Success (Gan et al. 2021, arXiv 2110.06912, open-paper.tex, `tab:result`).
+"""The paper's numbers: its table of A-Success (Gan et al. 2021, arXiv 2110.06912, open-paper.tex, `tab:result`).
 
-Means over three training seeds and what the paper writes below them, whose kind (deviation or error) it does not say;
-of the human row, two authors. Copied digit by digit, the bold print aside.
+Means over three training seeds, and the ± below them; the paper does not say whether it is a deviation or an error. The
+human row is from two authors. Digits are copied as printed, without the bold print.
 """
 
 import re
@@ -34,9 +34,9 @@ PAPER: dict[str, dict[Task, PaperScore]] = {
     "CURL + RIDE": _row((0.532, 0.006), (0.386, 0.04), (0.191, 0.02), (0.125, 0.02)),
     "Human": _row((0.584, 0.008), (0.588, 0.015), (0.453, 0.025), (0.363, 0.023)),
 }
-"""By approach as the paper prints it, in its order, and task."""
+"""By approach, with the paper's names and order, and by task."""
 PAPER_STEPS = 1_000_000
-"""Interactions of fine-tuning behind every row but the human one."""
+"""Steps of fine-tuning behind every row except the human row."""
 
 _WORDS = {
     frozenset({"scratch"}): "PPO (From scratch)",
@@ -44,9 +44,9 @@ _WORDS = {
     **{frozenset(re.findall("[a-z]+", name.lower())): name for name in list(PAPER)[1:-1]},
 }
 _KNOWN = frozenset({"counted"}).union(*_WORDS)
-"""Words that tell agents apart; RIDE that counts visits is no agent of the paper."""
+"""Words that decide about an agent; `counted` is among them, since RIDE with counts is not in the paper."""
 
 
 def paper_name(agent: str) -> str | None:
-    """The paper's row for an agent of ours, by the words in its name, or None: `curl+ride offline` is `CURL + RIDE`."""
+    """Return the paper's row for an agent by the words in its name, or None: `curl+ride offline` is `CURL + RIDE`."""
     return _WORDS.get(frozenset(re.findall("[a-z]+", agent.lower())) & _KNOWN)

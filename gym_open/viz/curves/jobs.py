@@ -1,4 +1,4 @@
-"""How far a benchmark is, from what lies in its folder: it may be at work, or have been stopped half-way."""
+"""State of a grid, from the files in its folder: it may be running, or may have been stopped."""
 
 import time
 from collections import Counter
@@ -16,32 +16,32 @@ _STAGES = {
     "collect": "collect/logs", "release": "datasets/open", "encoder": "train/encoders", "probe": "train/probes",
     "policy": "train/policies", "score": "evaluate/scores",
 }  # fmt: skip
-"""First word of a job's name, and where its artefact lies."""
+"""First word of a job's name, and the folder of its artefact."""
 _STALE_S = 600.0
-"""Seconds after which a job that has said nothing is taken as stopped."""
+"""A job without output for so many seconds counts as stopped."""
 _TAIL = 10_000
-"""Bytes at the end of a job's output in which an error is looked for."""
+"""Bytes at the end of a job's output that are searched for an error."""
 
 
 class JobStatus(NamedTuple):
-    """One job of a benchmark."""
+    """One job of a grid."""
 
     name: str
     stage: str
     state: JobState
     words: str
-    """How far it is, or why it stopped."""
+    """Its progress, or why it stopped."""
 
 
 def jobs_of(folder: Path) -> list[JobStatus]:
-    """The jobs of the benchmark in `folder`, by stage and name; none if it is no benchmark's folder."""
+    """Return the jobs of the grid in `folder`, by stage and name; none if the folder has no grid."""
     names = sorted(path.stem for path in (folder / FOLDER).glob("*.toml"))
     stages = list(_STAGES)
     return sorted((_job(folder, name) for name in names), key=lambda job: (stages.index(job.stage), job.name))
 
 
 def folder_of(root: Path, name: str) -> Path:
-    """Where the artefact of a benchmark's job lies."""
+    """Return the folder of the artefact of a job."""
     stage = _stage(name)
     below = root / _STAGES[stage]
     if stage == "encoder":
@@ -51,7 +51,7 @@ def folder_of(root: Path, name: str) -> Path:
 
 
 def _stage(name: str) -> str:
-    """What else it is called, an encoder's job is called as the file of its configuration is."""
+    """Return the stage of a job; the job of an encoder has the name of its configuration file."""
     first = name.partition("-")[0]
     return first if first in _STAGES else "encoder"
 
@@ -70,7 +70,7 @@ def _job(root: Path, name: str) -> JobStatus:
     errors = [line.strip("│ ").removeprefix("error: ") for line in lines if line.strip("│ ").startswith("error: ")]
     if not errors and _is_fresh(output):
         return JobStatus(name, stage, "at work", "begins")
-    return JobStatus(name, stage, "stopped", errors[-1] if errors else "its output tells no error")
+    return JobStatus(name, stage, "stopped", errors[-1] if errors else "its output has no error")
 
 
 def _is_fresh(path: Path) -> bool:
@@ -78,7 +78,7 @@ def _is_fresh(path: Path) -> bool:
 
 
 def document(jobs: list[JobStatus]) -> str:
-    """Markdown: how many jobs of each stage are how far, and which are at work or were stopped."""
+    """Return Markdown: the number of jobs of each stage in each state, and the jobs that run or were stopped."""
     states: tuple[JobState, ...] = ("done", "at work", "stopped", "not begun")
     counts = Counter((job.stage, job.state) for job in jobs)
     rows = [

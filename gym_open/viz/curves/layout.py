@@ -1,4 +1,4 @@
-"""How curves are laid out on the screen."""
+"""Layout of curves on the screen."""
 
 from collections.abc import Mapping, Sequence
 
@@ -14,13 +14,13 @@ def blueprint(
     tasks: Mapping[str, Mapping[str, Span]], encoders: Mapping[str, Sequence[str]], figures: Sequence[str],
     documents: Mapping[str, str],
 ) -> rrb.Blueprint:  # fmt: skip
-    """A tab a task, then one for encoders, one for probes, and one for each document.
+    """Lay out a tab per task, then one for encoders, one for probes, and one per document.
 
     Args:
-        tasks: of each, the plots that there are (`score`, `return`, `training`) with the range of their numbers,
-            None for their own, and `about` if there is a document.
-        encoders: columns of the curves of each world model.
-        figures: entities of the probes' figures.
+        tasks: plots of each task (`score`, `return`, `training`) with the range of their y-axis, None to leave it to
+            Rerun, and `about` if there is a document.
+        encoders: columns of the curves, by world model.
+        figures: entities of the figures of probes.
         documents: entities of further documents, by title.
     """
     tabs: list[rrb.Container | rrb.View] = [_task(task, kinds) for task, kinds in tasks.items()]
@@ -38,10 +38,10 @@ def blueprint(
 
 
 def _task(task: str, kinds: Mapping[str, Span]) -> rrb.Container:
-    """Plots beside one another, and the document as the fourth or below them."""
+    """Lay out the plots side by side, with the document as the fourth part or below them."""
     titles = {
         "score": "A-Success against steps of fine-tuning",
-        "return": "mean return within so many actions",
+        "return": "mean return within a number of actions",
         "training": "mean return of training episodes against steps of fine-tuning",
     }
     plots = [_plot(title, path(kind, task), kinds[kind]) for kind, title in titles.items() if kind in kinds]
@@ -61,6 +61,6 @@ def _encoders(model: str, columns: Sequence[str]) -> rrb.Grid:
 
 
 def _plot(title: str, entity: str, span: Span) -> rrb.TimeSeriesView:
-    axis = rrb.ScalarAxis(range=span) if span else None  # an empty one makes Rerun warn
+    axis = rrb.ScalarAxis(range=span) if span else None  # an empty range makes Rerun warn
     legend = rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=True)
     return rrb.TimeSeriesView(origin=entity, name=printable(title), plot_legend=legend, axis_y=axis)
