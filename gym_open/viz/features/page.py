@@ -48,8 +48,8 @@ def view(config: VizConfig, source: Path, choice: Choice) -> View:  # noqa: ARG0
         from gym_open.viz.documents import lineage, settings
         from gym_open.viz.features import drawing
         from gym_open.viz.features.analysis import analyse
+        from gym_open.viz.features.documents import document, draw_variance
         from gym_open.viz.features.frames import of_random_actions, of_release
-        from gym_open.viz.features.words import document, draw_variance
         from gym_open.viz.view import log_document, log_figure
 
         frames = of_random_actions() if release is None else of_release(release)
