@@ -1,7 +1,7 @@
-"""Steps a second of every explorer with its log, as a ratio to plain random play; what the log costs; bytes a step.
+"""Steps per second of every explorer with its log, as a ratio to random exploration; cost of the log; bytes per step.
 
-A round times each of them for a few rollouts, logged and not, in turns, so that all meet the same load; ratios are
-medians over rounds. What is timed is play, learning and handing over to the log, and the wait for its last byte.
+A round times every explorer for a few rollouts, with and without a log, in turns, so that all have the same load.
+Ratios are medians over rounds. The time covers acting, learning, enqueueing for the log, and writing its last byte.
 
 Run: uv run python benchmarks/bench_collect.py
 """
@@ -30,7 +30,7 @@ FOLDER = Path(__file__).parents[1] / "collect"
 
 
 class NoLog:
-    """Takes whatever a writer takes, and does nothing."""
+    """Accepts the calls of a log writer, and does nothing."""
 
     def __init__(self, *_: Any, **__: Any) -> None:
         self.segment = self.step = self.switch = self.stuck = self.flush = self.sync = self.abandon = self._nothing
@@ -44,7 +44,7 @@ class NoLog:
 
 
 def steps_per_s(config: CollectConfig, *, logged: bool) -> tuple[float, float]:
-    """Steps a second of all streams, and bytes of log a step."""
+    """Steps per second of all streams, and bytes of log per step."""
     rollouts = ROLLOUTS if config.explorer.world_model != "none" else 8 * ROLLOUTS
     with tempfile.TemporaryDirectory() as folder, ExitStack() as logs:
         (Path(folder) / "checkpoint").mkdir()
@@ -81,7 +81,9 @@ def main() -> None:
         for name, config in configs.items():
             (speed, size), (bare, _) = steps_per_s(config, logged=True), steps_per_s(config, logged=False)
             speeds[name].append((speed, bare, size))
-    table = Table("explorer", "steps/s", "of random's", "of its own without a log", "bytes/step", title="collect")
+    table = Table(
+        "explorer", "steps/s", "ratio to random", "ratio to itself without a log", "bytes/step", title="collect"
+    )
     for name, rows in speeds.items():
         of_random = statistics.median(row[0] / first[0] for row, first in zip(rows, speeds["random"], strict=True))
         of_bare = statistics.median(row[0] / row[1] for row in rows)

@@ -1,8 +1,8 @@
-"""What a release costs to build, verify and read, against its floors and against LeRobot's reader; bytes a frame.
+"""Time to build, verify and read a release, compared with lower bounds and with LeRobot's reader; bytes per frame.
 
-Random play is collected once. A round times everything in turn, so that all meet the same load; what is printed are
-medians over rounds, of ratios too. Windows are of four frames, drawn at random from split train; "none", "disk" and
-"memory" say where our reader has its cache; torch's loader has it on disk.
+Random exploration is collected once. A round times everything in turn, so that all have the same load. The table shows
+medians over rounds, also of ratios. Windows have four frames and are drawn at random from split train. "none", "disk"
+and "memory" say where our reader keeps its cache; torch's loader has it on disk.
 
 Run: uv run python benchmarks/bench_dataset.py
 """
@@ -39,20 +39,20 @@ from gym_open.hardware import usable_cores
 ROUNDS, STEPS, LENGTH, BATCH, BATCHES = 3, 20_000, 4, 64, 60
 SOURCE = Path(__file__).parents[1] / "collect/random.toml"
 LEROBOT = ("LeRobot", "LeRobot of two features")
-"""As it comes, where a window also holds every other feature at one moment, and cut to what our windows hold."""
+"""LeRobot's reader by default, where windows also hold all other features of one frame, and limited to our features."""
 INDICES = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 Rates = dict[str, float]
 
 
 def rate(count: float, work: Callable[[], Any]) -> float:
-    """Of `count` things that `work` does, how many a second."""
+    """Items per second, if `work` processes `count` items."""
     began = time.perf_counter()
     work()
     return count / (time.perf_counter() - began)
 
 
 def build(log: Path, release: Path) -> Rates:
-    """Frames a second of a build, and of what it cannot do without."""
+    """Frames per second of a build, and of the steps that it cannot avoid."""
     pieces: list[np.ndarray] = []
 
     def read() -> None:
@@ -69,7 +69,7 @@ def build(log: Path, release: Path) -> Rates:
 
 
 def verify(release: Path) -> Rates:
-    """Steps a second."""
+    """Verified steps per second."""
     return {
         "verify": rate(STEPS, lambda: verify_release(release)),
         "verify, quick": rate(STEPS, lambda: verify_release(release, replay=False)),
@@ -77,7 +77,7 @@ def verify(release: Path) -> Rates:
 
 
 def read(release: Release, cache: Path) -> Rates:
-    """Frames a second of making a cache, windows a second of reading."""
+    """Frames per second when a cache is made, and windows per second when it is read."""
     made: dict[str, Pictures] = {}
     frames = len(release)
 
@@ -100,13 +100,13 @@ def read(release: Release, cache: Path) -> Rates:
 
 
 def drained(batches: Iterator[Any], count: int, size: int) -> float:
-    """Windows a second in `count` batches of `size`, after a first one."""
+    """Windows per second in `count` batches of `size`, after a first batch."""
     next(batches)
     return rate(count * size, lambda: list(zip(range(count), batches, strict=False)))
 
 
 def lerobot(release: Path) -> Rates:
-    """Windows a second of the same kind."""
+    """Windows per second of LeRobot's reader, with the same contents."""
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     moments = [i * CONTROL_DT_S for i in range(LENGTH)]
@@ -137,7 +137,7 @@ def show(rounds: list[Rates]) -> None:
         return f"{statistics.median(row[name] / row[other] for row in rounds):.2f}"
 
     console = Console(width=100)
-    table = Table("build and verify", "a second", "of log reading", "of PNG encoding", title=f"{STEPS:,} steps")
+    table = Table("build and verify", "per second", "× log reading", "× PNG encoding", title=f"{STEPS:,} steps")
     for name in ("log reading alone", "PNG encoding alone", "build"):
         table.add_row(
             f"{name} (frames)", median(name), ratio(name, "log reading alone"), ratio(name, "PNG encoding alone")
@@ -145,7 +145,7 @@ def show(rounds: list[Rates]) -> None:
     for name in ("verify, quick", "verify"):
         table.add_row(f"{name} (steps)", median(name), "", "")
     console.print(table)
-    table = Table("4-frame windows", "a second", "of LeRobot's best", "of memcpy's", title="read")
+    table = Table("4-frame windows", "per second", "× LeRobot's best", "× memcpy", title="read")
     names = [f"{name}, {count}" for name in ("none", "disk", "memory") for count in (1, 2)] + ["torch's loader, 2"]
     theirs = [f"{name}, {count}" for name in LEROBOT for count in (0, 1, 2)]
     best = max(theirs, key=lambda name: statistics.median(row[name] for row in rounds))

@@ -2,9 +2,9 @@
 
     .venv/bin/python benchmarks/bench_env.py
 
-Every row plays the same actions on the same puzzles: fixed ones of all four tasks, as sandboxes, which never end. Rows
-take turns, so that a busy machine slows all alike; a ratio is the median over rounds of that within the round.
-`mujoco.Renderer` is measured where OpenGL is found.
+Every row takes the same actions on the same puzzles: fixed puzzles of all four tasks, as sandboxes, which never end.
+Rows take turns, so that a busy machine slows all of them equally. A ratio is the median over rounds of the ratio within
+a round. `mujoco.Renderer` is measured if OpenGL is available.
 """
 
 import argparse
@@ -33,11 +33,11 @@ from gym_open.envs.world import World
 UNIT = "bare mj_step loop"
 _MOST_PROCESSES = 16
 Row = Callable[[list[Puzzle], np.ndarray], float]
-"""Seconds that actions (T, N) in N puzzles take, laying them out not counted."""
+"""Function that returns the seconds that actions (T, N) in N puzzles take, without laying out the puzzles."""
 
 
 class Fixed(gymnasium.Wrapper[Any, np.int64, Any, np.int64]):
-    """Always the same puzzle: gymnasium's vector environments give all of theirs the same options."""
+    """Always the same puzzle: gymnasium's vector environments give the same options to all their environments."""
 
     def __init__(self, puzzle: Puzzle) -> None:
         super().__init__(OpenEnv("sandbox"))
@@ -62,7 +62,7 @@ def one_by_one(begin: Callable[[Puzzle], Any], step: Callable[[int], Any]) -> Ro
 
 
 def in_turn(n: int) -> Row:
-    """The bare loop over as many worlds as a vector environment holds: they do not stay in the processor's cache."""
+    """The bare loop over as many worlds as a vector environment has: together they do not fit in the cache."""
     worlds = [World() for _ in range(n)]
     steps = [bare_step(world) for world in worlds]
 
@@ -90,7 +90,7 @@ def together(vector: VectorEnv[Any, Any, Any], options: Callable[[list[Puzzle]],
 
 
 def bare_step(world: World) -> Callable[[int], None]:
-    """The physics of a step and nothing else: push, substeps, stop."""
+    """Only the physics of a step: push, substeps, stop."""
     model, data = world.model, world.data
 
     def step(action: int) -> None:
@@ -117,9 +117,9 @@ def single_rows() -> dict[str, Row]:
 
     rows = {
         UNIT: one_by_one(world.load, bare_step(world)),
-        "World.step, no picture": one_by_one(world.load, world.step),
-        "World.step and picture": one_by_one(world.load, step_and_look),
-        "picture alone": one_by_one(world.load, look),
+        "World.step, no image": one_by_one(world.load, world.step),
+        "World.step and image": one_by_one(world.load, step_and_look),
+        "image alone": one_by_one(world.load, look),
         "env.step": one_by_one(lambda puzzle: env.reset(options={"puzzle": puzzle}), env.step),
         "env.step, dictionary": one_by_one(lambda puzzle: as_dict.reset(options={"puzzle": puzzle}), as_dict.step),
     }
@@ -154,7 +154,7 @@ def vector_rows(puzzles: list[Puzzle]) -> dict[str, Row]:
 
 
 def reset_seconds(puzzles: list[Puzzle]) -> dict[str, float]:
-    """Of laying a puzzle out, and of a whole reset, in which it is drawn at random too."""
+    """Seconds for laying out a puzzle, and for a whole reset, which also draws the puzzle at random."""
     world, env, rng = World(), OpenEnv("goal-seeking"), np.random.default_rng(0)
     env.reset(seed=0)
     calls: dict[str, Callable[[int], Any]] = {
@@ -192,7 +192,7 @@ def main() -> None:
         for name, (row, n) in rows.items():
             seconds[name].append(row(puzzles[:n], actions[:, :n]) / (n * given.steps))
 
-    table = Table("per step of one world", "÷ bare loop", "µs", "a second")
+    table = Table("per step of one world", "÷ bare loop", "µs", "per second")
     for name, times in seconds.items():
         ratio = statistics.median(one / unit for one, unit in zip(times, seconds[UNIT], strict=True))
         median = statistics.median(times)

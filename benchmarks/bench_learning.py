@@ -1,8 +1,8 @@
-"""How fast encoders are trained, and how fast play explores: beside the matrix products alone of the networks in it.
+"""Speed of encoder training and of exploration, compared with the matrix products alone of their networks.
 
-Contenders, clock and limits are those of `bench_ppo.py`. A round of exploration is a rollout of
+Candidates, clock and limits are those of `bench_ppo.py`. A round of exploration is a rollout of
 `collect/curl-ride.toml` with its update, the losses of its worlds and its log. A round of encoder training is `STEPS`
-gradient steps on random pictures; reading batches from a release is not part of it.
+gradient steps on random images, without reading batches from a release.
 
 Run: uv run python benchmarks/bench_learning.py [--threads 1 2] [--rounds 5]
 """
@@ -13,7 +13,6 @@ import tempfile
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import Literal
 
 import msgspec
 import torch
@@ -34,15 +33,14 @@ from gym_open.train.config import EncoderTrainConfig
 
 STEPS = 4
 PLAY = load(Path(__file__).parents[1] / "collect/curl-ride.toml", CollectConfig)
-Learned = Literal["curl", "icm", "rnd"]
-PASSES: dict[Learned, tuple[int, int]] = {"curl": (2, 1), "icm": (2, 2), "rnd": (2, 1)}
-"""Forward and backward passes of a picture in a gradient step."""
+PASSES: dict[str, tuple[int, int]] = {"curl": (2, 1), "icm": (2, 2), "rnd": (2, 1)}
+"""Forward and backward passes of an image in a gradient step."""
 FULL = 8
-"""Rollouts after which every world's store of transitions is nearly full."""
+"""Rollouts after which the transitions of every world are nearly complete."""
 
 
-def encoder_training(name: Learned, precision: Precision) -> tuple[Work, int, float]:
-    """Some gradient steps, how many pictures they look at, and their MFLOP; as `train encoder` takes them."""
+def encoder_training(name: str, precision: Precision) -> tuple[Work, int, float]:
+    """Gradient steps as in `train encoder`, the number of their images, and their MFLOP."""
     config, generator = EncoderTrainConfig(world_model=name), torch.Generator().manual_seed(0)
     model = make_world_model(name, config, Encoder(config.encoder, generator), N_ACTIONS, generator)
     learned = [parameter for parameter in model.parameters() if parameter.requires_grad]
@@ -66,7 +64,7 @@ def encoder_training(name: Learned, precision: Precision) -> tuple[Work, int, fl
 
 
 def exploration(precision: Precision, folder: Path, logs: ExitStack) -> tuple[Work, int, float]:
-    """A rollout and what follows it, its steps, and its MFLOP: one look at each picture, and CURL's two networks."""
+    """A rollout with its update, its steps, and its MFLOP: one pass of each image, and CURL's two networks."""
     ppo = msgspec.structs.replace(PLAY.explorer.ppo, precision=precision)
     config = msgspec.structs.replace(PLAY, explorer=msgspec.structs.replace(PLAY.explorer, ppo=ppo))
     (folder / "checkpoint").mkdir(parents=True)
@@ -81,20 +79,20 @@ def exploration(precision: Precision, folder: Path, logs: ExitStack) -> tuple[Wo
 
 
 def measure(threads: int, rounds: int, folder: Path) -> Table:
-    """A row a contender."""
+    """One row per candidate."""
     precisions: list[Precision] = ["bf16", "fp32"] if native_precision() == "bf16" else ["fp32"]
     work: dict[str, Work] = {}
-    pictures: dict[str, int] = {}
+    images: dict[str, int] = {}
     with ExitStack() as logs:
         for precision in precisions:
-            contenders = {f"train encoder, {name}, {precision}": encoder_training(name, precision) for name in PASSES}
+            candidates = {f"train encoder, {name}, {precision}": encoder_training(name, precision) for name in PASSES}
             play = exploration(precision, folder / f"{threads} {precision}", logs)
-            for name, (one, count, mflop) in {**contenders, f"collect, curl-ride, {precision}": play}.items():
-                work[name], pictures[name] = alone(one, threads), count
+            for name, (one, count, mflop) in {**candidates, f"collect, curl-ride, {precision}": play}.items():
+                work[name], images[name] = alone(one, threads), count
                 work[f"products of {name}"] = with_torchs(partial(products, mflop, precision), threads)
         found = compare(work, threads, rounds)
-    table = Table("", "pictures/s", "× the products' time", title=f"threads: {threads}")
-    for name, count in pictures.items():
+    table = Table("", "images/s", "× the products' time", title=f"threads: {threads}")
+    for name, count in images.items():
         speed = count / statistics.median(found[name])
         table.add_row(name, f"{speed:,.0f}", ratio(found[name], found[f"products of {name}"]))
     return table

@@ -1,17 +1,17 @@
-"""How fast PPO learns from pictures: beside its matrix products alone, and beside Stable-Baselines3's.
+"""Speed of PPO on images, compared with its matrix products alone and with Stable-Baselines3.
 
-The network's multiplications at the best rate for large matrices (`products`) are what no arrangement can do without.
-Beside the whole stand its parts: the environments alone, the network's forward pass alone when it acts, and forward and
-backward pass alone in the update's epochs. Stable-Baselines3's PPO has the same network, environments (stepped by our
-`TrainingEnvironments`, which are faster than its own), batch and epochs; it learns in fp32, and neither centres nor
+The network's multiplications, at the best speed for large matrices (`products`), are a lower bound for any
+implementation. The table also shows the parts: the environments alone, the network's forward pass alone for acting, and
+its forward and backward pass alone for the update's epochs. Stable-Baselines3's PPO has the same network, environments
+(stepped by our `TrainingEnvironments`, which are faster than its own), batch and epochs. It learns in fp32, and neither centres nor
 shifts images.
 
-Contenders take turns, so that a busy machine slows all alike; a ratio is the median over rounds of that within the
-round. With one thread the clock is the processor's own time, which does not count what neighbours take. Two threads can
-only be compared on a machine that has nothing else to do.
+Candidates take turns, so that a busy machine slows all of them equally. A ratio is the median over rounds of the ratio
+within a round. With one thread, the clock is processor time, which does not count other processes. Two threads can only
+be compared on an otherwise idle machine.
 
-To make a processor with AVX-512 behave like one without, give three libraries their limits (torch's matrix products are
-MKL's, which on AMD processors uses AVX2 anyway):
+To make a processor with AVX-512 behave like one without it, set limits for three libraries (torch's matrix products are
+MKL's, which uses AVX2 on AMD processors anyway):
 
     ATEN_CPU_CAPABILITY=avx2 ONEDNN_MAX_CPU_ISA=AVX2 NUMBA_CPU_NAME=haswell NUMBA_CPU_FEATURES=+avx2,+fma
 
@@ -55,9 +55,9 @@ BATCH = N_ENVS * N_STEPS
 PPO_CONFIG = PPOConfig()
 UPDATES = PPO_CONFIG.update_epochs * BATCH // PPO_CONFIG.minibatch_size
 MFLOP_FORWARD = 2e-6 * (400 * 32 * 192 + 81 * 64 * 512 + 49 * 64 * 576 + 3136 * 512)
-"""Of a picture: places × outputs × inputs of each convolution, and the linear layer."""
+"""MFLOP per image: places × outputs × inputs of each convolution, and of the linear layer."""
 MFLOP_BACKWARD = 2 * MFLOP_FORWARD - 2e-6 * 400 * 32 * 192
-"""The first layer has nobody to hand a gradient down to."""
+"""The first layer does not compute a gradient of its input."""
 Work = Callable[[], object]
 
 
@@ -98,14 +98,14 @@ class TablesVecEnv(VecEnv):
 
 
 class _Ready(BaseCallback):
-    """Keeps SB3's callback, so that rollouts can be asked for one by one."""
+    """Keeps SB3's callback, so that rollouts can be requested one by one."""
 
     def _on_step(self) -> bool:
         return True
 
 
 def alone(work: Work, threads: int) -> Work:
-    """The same with our number of threads."""
+    """The same work with our number of threads."""
 
     def done() -> None:
         with sharing(threads):
@@ -115,7 +115,7 @@ def alone(work: Work, threads: int) -> Work:
 
 
 def with_torchs(work: Work, threads: int) -> Work:
-    """The same with PyTorch's own number of threads."""
+    """The same work with PyTorch's own number of threads."""
 
     def done() -> None:
         before = torch.get_num_threads()
@@ -127,7 +127,7 @@ def with_torchs(work: Work, threads: int) -> Work:
 
 
 def ours(threads: int, precision: Precision) -> tuple[Work, _PolicyTrainer]:
-    """A rollout and its update, and who does it."""
+    """A rollout and its update, and the trainer that does it."""
     ppo = msgspec.structs.replace(PPO_CONFIG, precision=precision)
     config = PolicyTrainConfig(num_envs=N_ENVS, num_steps=N_STEPS, ppo=ppo, threads=threads)
     with tempfile.TemporaryDirectory() as folder:
@@ -169,7 +169,7 @@ def environment(trainer: _PolicyTrainer) -> None:
 
 @torch.no_grad()
 def acting(trainer: _PolicyTrainer) -> None:
-    """The network alone, on pictures that are prepared already."""
+    """The network alone, on prepared images."""
     with autocast(trainer.config.ppo.precision):
         prepared = trainer.agent.prepare(torch.from_numpy(trainer.environments.seen))
         for _ in range(N_STEPS):
@@ -177,7 +177,7 @@ def acting(trainer: _PolicyTrainer) -> None:
 
 
 def updating(trainer: _PolicyTrainer) -> None:
-    """Forward and backward pass alone, on a minibatch that is prepared already."""
+    """Forward and backward pass alone, on a prepared minibatch."""
     size = PPO_CONFIG.minibatch_size
     with autocast(trainer.config.ppo.precision):
         seen = torch.from_numpy(trainer.environments.seen)
@@ -190,7 +190,7 @@ def updating(trainer: _PolicyTrainer) -> None:
 
 
 def products(mflop: float, precision: Precision) -> None:
-    """So many million multiplications and additions, in large matrices."""
+    """`mflop` million multiplications and additions, in large matrices."""
     edge = 1024
     a = torch.ones(edge, edge, dtype=torch.bfloat16 if precision == "bf16" else torch.float32)
     out = torch.empty_like(a)
@@ -199,7 +199,7 @@ def products(mflop: float, precision: Precision) -> None:
 
 
 def seconds(work: Work, threads: int) -> float:
-    """That work takes: of the processor if one thread does it all, else of the day."""
+    """Seconds that work takes: processor time for one thread, otherwise wall time."""
     clock = time.process_time if threads == 1 else time.perf_counter
     began = clock()
     work()
@@ -207,7 +207,7 @@ def seconds(work: Work, threads: int) -> float:
 
 
 def compare(work: dict[str, Work], threads: int, rounds: int) -> dict[str, list[float]]:
-    """Seconds of each in each round; all are done once before."""
+    """Seconds of each work in each round, after one run of each."""
     for one in work.values():  # compiles, and fills caches
         one()
     found: dict[str, list[float]] = {name: [] for name in work}
@@ -218,12 +218,12 @@ def compare(work: dict[str, Work], threads: int, rounds: int) -> dict[str, list[
 
 
 def ratio(times: list[float], base: list[float]) -> str:
-    """How many times `base`, the median over rounds."""
+    """Median over rounds of the ratio to `base`."""
     return f"{statistics.median(t / b for t, b in zip(times, base, strict=True)):.2f}"
 
 
 def measure(threads: int, rounds: int) -> Table:
-    """A row a contender, and the parts of ours."""
+    """One row per candidate, and one per part of ours."""
     precisions: list[Precision] = ["bf16", "fp32"] if native_precision() == "bf16" else ["fp32"]
     work: dict[str, Work] = {SB3: with_torchs(sb3(threads), threads)}
     for precision in precisions:
@@ -236,9 +236,7 @@ def measure(threads: int, rounds: int) -> Table:
         mflop = BATCH * (MFLOP_FORWARD + PPO_CONFIG.update_epochs * (MFLOP_FORWARD + MFLOP_BACKWARD))
         work[f"products, {precision}"] = with_torchs(partial(products, mflop, precision), threads)
     found = compare(work, threads, rounds)
-    table = Table(
-        "", "steps/s", "× the products' time", "× SB3's speed", title=f"PPO from pictures, threads: {threads}"
-    )
+    table = Table("", "steps/s", "× the products' time", "× SB3's speed", title=f"PPO from images, threads: {threads}")
     for name, times in found.items():
         base = found[f"products, {'bf16' if 'bf16' in name else 'fp32'}"]
         table.add_row(name, f"{BATCH / statistics.median(times):,.0f}", ratio(times, base), ratio(found[SB3], times))

@@ -1,15 +1,15 @@
-"""Does our PPO learn as Stable-Baselines3's does? Learning curves of both on goal-seeking, over seeds.
+"""Does our PPO learn as well as Stable-Baselines3's? Learning curves of both on goal-seeking, over seeds.
 
-Both are told the simulator's state (`architecture = "state"`), so that a run takes minutes. Network, first weights'
-distribution, coefficients, environments and seeds of the puzzles are the same, and so is the arithmetic, fp32. Two
-settings differ in name or meaning. Our value loss is half a mean square, so SB3's `vf_coef` is .25 for our .5. Values
-are not clipped, since SB3 takes the clipped error where we (and OpenAI's baselines) take the larger of both. SB3 steps
-`OpenEnv` in its own `DummyVecEnv`, so that our way of stepping many worlds is compared, too.
+Both see the simulator state (`architecture = "state"`), so that a run takes minutes. The network, the distribution of
+initial weights, coefficients, environments, seeds of the puzzles and the arithmetic (fp32) are the same. Two settings
+differ in name or meaning. Our value loss is half a mean square, so SB3's `vf_coef` is .25 for our .5. Values are not
+clipped, because SB3 takes the clipped error where we (and OpenAI's baselines) take the larger of both errors. SB3 steps
+`OpenEnv` in its own `DummyVecEnv`, so that our vector environment is compared, too.
 
-A run is a mean return an update, over the episodes that ended in its rollout, and then the A-Success on the validation
-puzzles. Runs that the folder has already are not made again. Prints a table and draws both curves.
+A run consists of the mean return per update, over the episodes that ended in its rollout, and the final A-Success on
+the validation puzzles. Runs that the folder has already are skipped. The script prints a table and draws both curves.
 
-Run: uv run python benchmarks/compare_ppo.py FOLDER     (minutes a run on one idle core)
+Run: uv run python benchmarks/compare_ppo.py FOLDER     (minutes per run on one idle core)
 """
 
 import sys
@@ -53,15 +53,15 @@ CONFIG = PolicyTrainConfig(
 
 
 class Run(msgspec.Struct):
-    """What came of one seed."""
+    """The results of one seed."""
 
     returns: list[float]
-    """Mean return of the episodes that ended in each rollout; of none, the one before's."""
+    """Mean return of the episodes that ended in each rollout; if none ended, that of the rollout before."""
     a_success: float
 
 
 def a_success(actor: Actor) -> float:
-    """Of an agent on the validation puzzles."""
+    """A-Success of the agent on the validation puzzles."""
     config = EvaluateConfig(task=TASK, split="validation", threads=1)
     return summarise(play(actor, TASK, puzzles_of(TASK, "validation"), config, states=True))["a_success"]
 
@@ -82,7 +82,7 @@ def ours(seed: int) -> Run:
 
 
 class StateEnv(gymnasium.ObservationWrapper[Any, Any, Any]):
-    """`OpenEnv`, but one is told the state; the first reset takes the seed that our own environment `index` has."""
+    """`OpenEnv` with the simulator state as observation; its first reset has the seed of our environment `index`."""
 
     def __init__(self, seed: int, index: int) -> None:
         super().__init__(OpenEnv(TASK))
@@ -93,7 +93,7 @@ class StateEnv(gymnasium.ObservationWrapper[Any, Any, Any]):
         given, self.first = self.first, None
         return super().reset(seed=given, options=options)
 
-    def observation(self, observation: Any) -> np.ndarray:  # noqa: ARG002  (the picture)
+    def observation(self, observation: Any) -> np.ndarray:  # noqa: ARG002  (the image)
         env = self.unwrapped
         assert isinstance(env, OpenEnv)
         return state_vector(env.world)
@@ -150,7 +150,7 @@ def sb3(seed: int) -> Run:
 
 
 def filled(returns: list[float | None]) -> list[float]:
-    """With the last known value where no episode ended."""
+    """Fill gaps, where no episode ended, with the last known value."""
     known = [0.0]
     for value in returns:
         known.append(known[-1] if value is None else value)
@@ -161,7 +161,7 @@ CONTENDERS = {"gym-open": ours, "Stable-Baselines3": sb3}
 
 
 def difference(x: np.ndarray, y: np.ndarray) -> str:
-    """Of two means over seeds, with a bootstrap interval over seeds and Welch's, which trusts so few seeds less."""
+    """Difference of two means over seeds, with a bootstrap interval and with Welch's, which is wider for few seeds."""
     rng = np.random.default_rng(0)
     draws = [a[rng.integers(len(a), size=(RESAMPLES, len(a)))].mean(axis=1) for a in (x, y)]
     low, high = np.percentile(draws[0] - draws[1], [2.5, 97.5])
@@ -175,7 +175,7 @@ def difference(x: np.ndarray, y: np.ndarray) -> str:
 
 
 def draw(runs: dict[str, list[Run]], path: Path) -> None:
-    """Mean over seeds and the range of the seeds, for each contender."""
+    """Draw the mean and the range over seeds for each PPO."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

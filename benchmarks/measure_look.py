@@ -2,9 +2,9 @@
 
     .venv/bin/python benchmarks/measure_look.py
 
-Every look shows the same layouts in play. A ridge regression finds agent, yellow and green sphere from pixels and from
-the features of an untrained encoder, to which pixels come as they are or with the mean picture subtracted, as for the
-agents. Layouts of the test were not trained on. Ten minutes on one core.
+Every camera shows the same layouts after some moves. A ridge regression predicts the positions of agent, yellow and
+green sphere from pixels, and from the features of an untrained encoder, with and without subtracting the mean image.
+Test layouts are not in the training data. It takes ten minutes on one core.
 """
 
 import argparse
@@ -38,7 +38,7 @@ CAMERAS = {
     "from above (59°)": CameraOptions(position=(0, 0, 2.1), direction=(90, 0, 0), field_of_view=59.1),
 }
 LOOKS = [(camera, 1) for camera in CAMERAS] + [("original", 2), ("from above (59°)", 2)]
-"""Camera, and pixels averaged in each direction for one of the picture."""
+"""Camera, and number of rendered pixels per image pixel in each direction."""
 PROBES = {
     "size": "",
     "guess": "mean place",
@@ -53,7 +53,7 @@ STRENGTHS = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 
 
 class Layouts(NamedTuple):
-    """Situations in play."""
+    """States of worlds after some moves."""
 
     qpos: np.ndarray
     """(n, nq)."""
@@ -62,7 +62,7 @@ class Layouts(NamedTuple):
 
 
 def random_puzzle(rng: np.random.Generator) -> Puzzle:
-    """Agent, a goal of either kind and 5–8 cubes on any cells: places do not tell of one another."""
+    """Agent, one goal of each kind and 5–8 cubes on random cells: their positions are independent."""
     kinds = ["agent", "yellow", "green", *rng.choice(["heavy", "light"], rng.integers(5, 9))]
     cells = rng.choice((c.ROWS - 2) * (c.COLUMNS - 2), len(kinds), replace=False)
     places = [(1 + int(i) // (c.COLUMNS - 2), 1 + int(i) % (c.COLUMNS - 2)) for i in cells]
@@ -72,7 +72,7 @@ def random_puzzle(rng: np.random.Generator) -> Puzzle:
 
 
 def play(count: int, rng: np.random.Generator) -> Layouts:
-    """Layouts after some random steps, so that things do not stand on the centres of cells."""
+    """Layouts after some random steps, so that objects are not at the centres of cells."""
     world = World()
     qpos, present = np.empty((count, world.model.nq)), np.empty((count, len(INVENTORY)), bool)
     for i in range(count):
@@ -84,7 +84,7 @@ def play(count: int, rng: np.random.Generator) -> Layouts:
 
 
 def show(layouts: Layouts, camera: CameraOptions, supersampling: int) -> tuple[np.ndarray, np.ndarray]:
-    """Pictures (n, 84, 84, 3) uint8, and the agent's size (n,) in pixels of those pictures."""
+    """Images (n, 84, 84, 3) uint8, and the agent's size (n,) in pixels of these images."""
     options = WorldOptions(camera=camera, image_size=c.IMAGE_SIZE * supersampling)
     model = build_model(options)
     scene, data = Scene(model, options.image_size), mujoco.MjData(model)
@@ -93,22 +93,22 @@ def show(layouts: Layouts, camera: CameraOptions, supersampling: int) -> tuple[n
     sizes = np.empty(len(images))
     for i, (qpos, present) in enumerate(zip(*layouts, strict=True)):
         scene.load(data, present, recolour_hits=False)
-        picture = scene.image(qpos, hit)
-        images[i] = shrunk(picture, supersampling)
-        sizes[i] = (picture.label == agent).sum() / supersampling**2
+        image = scene.image(qpos, hit)
+        images[i] = shrunk(image, supersampling)
+        sizes[i] = (image.label == agent).sum() / supersampling**2
     return images, sizes
 
 
-def shrunk(picture: Image, by: int) -> np.ndarray:
-    """The colours, `by` × `by` pixels averaged."""
-    n = len(picture.rgb) // by
-    return np.round(picture.rgb.reshape(n, by, n, by, 3).mean(axis=(1, 3))).astype(np.uint8)
+def shrunk(image: Image, by: int) -> np.ndarray:
+    """The colours, averaged over `by` × `by` pixels."""
+    n = len(image.rgb) // by
+    return np.round(image.rgb.reshape(n, by, n, by, 3).mean(axis=(1, 3))).astype(np.uint8)
 
 
 def features(images: np.ndarray, train: slice, *, centred: bool, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Outputs of an untrained encoder's convolutions (n, 3136) and of its last layer (n, 512).
 
-    From every picture the mean training picture is subtracted, or nothing.
+    If asked for, the mean training image is subtracted from every image.
     """
     encoder = Encoder(EncoderConfig(), torch.Generator().manual_seed(seed))
     every = torch.from_numpy(images)
@@ -120,7 +120,7 @@ def features(images: np.ndarray, train: slice, *, centred: bool, seed: int) -> t
 
 
 def probe_error(x: np.ndarray, y: np.ndarray, train: slice, validation: slice, test: slice) -> np.ndarray:
-    """Mean distance in cells, (objects,), between true and found places; ridge strength chosen on validation data."""
+    """Mean distance in cells, (objects,), between true and predicted positions. Validation data choose the ridge."""
     x = x - x[train].mean(axis=0)
     x /= np.sqrt(np.square(x[train]).sum(axis=1).mean())
     mean, known = y[train].mean(axis=0), x[train]
@@ -139,10 +139,12 @@ def probe_error(x: np.ndarray, y: np.ndarray, train: slice, validation: slice, t
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--pictures", type=int, default=5000, help="of which a fifth is the test, a tenth validation")
+    parser.add_argument(
+        "--pictures", type=int, default=5000, help="number of images: a fifth for the test, a tenth for validation"
+    )
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     n = arguments.pictures

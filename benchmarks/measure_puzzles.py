@@ -1,4 +1,4 @@
-"""How hard the fixed puzzles are: the oracle beside the shortest path on the grid. The table of docs/puzzles.md.
+"""Difficulty of the fixed puzzles: the oracle and the shortest path on the grid. Prints the table of docs/puzzles.md.
 
 .venv/bin/python benchmarks/measure_puzzles.py
 """
@@ -25,7 +25,7 @@ ORIGINALS_GRID = {"goal-seeking": 0.678, "preferences": 0.667, "avoidance": 0.66
 
 
 def grid_distance(blocked: set[Cell], start: Cell, goal: Cell) -> int | None:
-    """Fewest moves to any of the eight cells around, over free cells, none past the corner of a blocked cell."""
+    """Fewest moves over free cells to any of the eight cells around, without cutting corners of blocked cells."""
     seen = {start: 0}
     queue = deque([start])
     while queue:
@@ -43,7 +43,7 @@ def grid_distance(blocked: set[Cell], start: Cell, goal: Cell) -> int | None:
 
 
 def grid_path(puzzle: Puzzle) -> list[tuple[float, int]] | None:
-    """Worth of each goal and action at which the shortest path touches it, cubes not pushed; None: there is no path.
+    """Value of each goal, and the action at which the shortest path touches it without pushing cubes; None: no path.
 
     Green comes before yellow. A pen is left straight over its ramp, from the foot to the cell behind the wall.
     """
@@ -69,7 +69,7 @@ def grid_path(puzzle: Puzzle) -> list[tuple[float, int]] | None:
 
 
 def grid_success(task: Task, puzzles: tuple[Puzzle, ...]) -> tuple[float, float, float, int]:
-    """A-Success of the shortest paths, with all goals and as if the first were all; its mean action; puzzles without.
+    """A-Success of the shortest paths, with all goals and with the first alone; its mean action; puzzles without path.
 
     A puzzle without a path scores 0.
     """

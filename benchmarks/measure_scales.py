@@ -1,7 +1,8 @@
-"""How the loss of a world falls while it is played in, for every world model: what the scales of the losses rest on.
+"""How the loss of a world falls while a stream explores it, for every world model: the basis of the loss scales.
 
-One stream plays in four fresh worlds, one after the other. Prints the raw loss by steps in the world, the level that
-counts as learned (the threshold over the model's scale), and when it was first reached; draws the curves.
+One stream explores four fresh worlds, one after the other. The script prints the raw loss by steps in the world, the
+level that counts as learned (the threshold divided by the model's scale), and when the loss first reached it. It also
+draws the curves.
 
 Run: uv run python benchmarks/measure_scales.py docs/pictures/loss-scales.png     (a quarter of an hour on one core)
 """
@@ -30,7 +31,7 @@ COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7")
 
 
 def measure(name: str, folder: Path) -> tuple[np.ndarray, float]:
-    """Raw loss of the world played in, (worlds, rollouts of a stay), and the level that counts as learned."""
+    """Raw loss of the current world, (worlds, rollouts of a segment), and the level that counts as learned."""
     config = load(FOLDER / f"{name}.toml", CollectConfig)
     curriculum = msgspec.structs.replace(config.curriculum, rule="interval", interval=STAY)
     sizes: dict[str, Any] = {"streams": 1, "rollout": ROLLOUT, "pool": WORLDS, "steps": WORLDS * STAY}
@@ -42,7 +43,7 @@ def measure(name: str, folder: Path) -> tuple[np.ndarray, float]:
 
 
 def draw(found: dict[str, tuple[np.ndarray, float]], path: Path) -> None:
-    """A panel an explorer, a line a world, and the level that counts as learned."""
+    """One panel per explorer, with one line per world and the level that counts as learned."""
     figure = Figure(figsize=(12, 6.5), layout="constrained")
     FigureCanvasAgg(figure)
     steps = ROLLOUT * (1 + np.arange(STAY // ROLLOUT))

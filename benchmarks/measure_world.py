@@ -1,7 +1,7 @@
-"""What the physics comes out as, at the world's timestep and at half of it: the table of docs/environment.md.
+"""Measurements of the physics at the world's timestep and at half of it: the table of docs/environment.md.
 
-.venv/bin/python benchmarks/measure_world.py                  # all but the long play: some minutes
-.venv/bin/python benchmarks/measure_world.py --long 10000     # random play of so many steps in each of 100 layouts
+.venv/bin/python benchmarks/measure_world.py                  # everything but the long run: some minutes
+.venv/bin/python benchmarks/measure_world.py --long 10000     # random actions: so many steps in each of 100 layouts
 """
 
 import argparse
@@ -20,14 +20,14 @@ from gym_open.envs.world import World
 from gym_open.progress import bar
 
 WORLDS = (WorldOptions(), WorldOptions(timestep_s=c.TIMESTEP_S / 2, substeps=2 * c.SUBSTEPS))
-"""The world v1, and the same at half the timestep."""
+"""World version 1, and the same world at half the timestep."""
 EAST, NORTH = 1, 3
 EVERYTHING = SandboxConfig(
     heavy=(1, 3), light=(1, 3), push=(1, 2), rectangle=(1, 2), cone=(1, 2), stack=(1, 1), pen_probability=0.2
 )
 KINDS = tuple(kind for kind in c.CAPACITY if kind != "agent")
 _PHASES = np.linspace(0, 1, 24, endpoint=False)
-"""Fractions of a substep's way by which a body starts further on: a contact begins between two substeps."""
+"""Start offsets of a body, as fractions of its way per substep: a contact can begin between two substeps."""
 
 
 def laid(options: WorldOptions, *objects: tuple, pen: Pen | None = None) -> World:
@@ -38,23 +38,23 @@ def laid(options: WorldOptions, *objects: tuple, pen: Pen | None = None) -> Worl
 
 
 def place(world: World, name: str) -> np.ndarray:
-    """(2,) where an object is: a view."""
+    """Position of an object, (2,), as a view."""
     return world.data.qpos.reshape(-1, 7)[world.inventory.index(name), :2]
 
 
 def speed(world: World, name: str) -> np.ndarray:
-    """(3,) how fast it moves: a view."""
+    """Velocity of an object, (3,), as a view."""
     return world.data.qvel.reshape(-1, 6)[world.inventory.index(name), :3]
 
 
 def aside(world: World) -> np.ndarray:
-    """Depths of the last substep's contacts, those with the ground left out."""
+    """Depths of the last substep's contacts, without those with the ground."""
     contact = world.data.contact
     return -contact.dist[~(contact.geom == world.model.geom("ground").id).any(axis=1)]
 
 
 def move(world: World, action: int, each: Callable[[], None]) -> None:
-    """Take an action as `World.step` does, with a look after every substep."""
+    """Take an action as `World.step` does, and call a function after every substep."""
     velocity = world.data.qvel
     velocity[:2] += c.MOVE_SPEED * np.array(c.MOVES[action])
     for _ in range(world.options.substeps):
@@ -81,7 +81,7 @@ def moves(options: WorldOptions) -> str:
 
 
 def push(options: WorldOptions, kind: str) -> str:
-    """Way of an object until it rests, after two moves of the agent towards it."""
+    """Distance that an object moves until it rests, after two moves of the agent towards it."""
     gone = []
     for phase in _PHASES:
         world = laid(options, ("agent", 14, 4), (kind, 12, 4))
@@ -95,7 +95,7 @@ def push(options: WorldOptions, kind: str) -> str:
 
 
 def restitution(options: WorldOptions, kind: str, other: str | None) -> str:
-    """Speed apart over speed together of a collision along x, and its greatest depth."""
+    """Separation speed over approach speed of a collision along x, and its greatest depth."""
     ratios, deepest = [], 0.0
     start = c.MOVE_SPEED if kind == "agent" else 2.5
     for phase in _PHASES:
@@ -123,7 +123,7 @@ def restitution(options: WorldOptions, kind: str, other: str | None) -> str:
 
 
 def energy(world: World) -> float:
-    """Joules of all objects on the table: of height and of motion."""
+    """Energy of all objects on the table in joules: potential and kinetic."""
     model, data, total = world.model, world.data, 0.0
     turn = np.zeros(9)
     for i in world.present.nonzero()[0]:
@@ -138,7 +138,7 @@ def energy(world: World) -> float:
 
 
 def energy_made(options: WorldOptions, layouts: int = 300, steps: int = 40) -> str:
-    """By how much energy rises after the push, in random actions that begin with no contact but with the ground.
+    """Increase of energy after the push, in random actions that begin with contacts to the ground alone.
 
     A contact is a spring: what it holds when an action begins comes out later, so such actions are left out.
     """
@@ -162,14 +162,14 @@ def energy_made(options: WorldOptions, layouts: int = 300, steps: int = 40) -> s
 
 
 def drawn(number: int, rng: np.random.Generator) -> Puzzle:
-    """A layout: each task in turn, the sandbox, the sandbox with objects of every kind."""
+    """A layout: of each task in turn, of the sandbox, and of the sandbox with objects of every kind."""
     tasks: tuple[Task, ...] = (*TASKS, "sandbox", "sandbox")
     turn = number % len(tasks)
     return sample_puzzle(tasks[turn], rng, EVERYTHING if turn == len(tasks) - 1 else SandboxConfig())
 
 
 def tunnelling(options: WorldOptions) -> str:
-    """Deepest overlap when the agent runs at each kind in the eight directions; half its size would be passing."""
+    """Deepest overlap when the agent runs into each kind from eight directions. Half its size would be a passage."""
     deepest = dict.fromkeys((*KINDS, "stack"), 0.0)
     for kind in deepest:
         for action in range(1, c.N_ACTIONS):
@@ -185,7 +185,7 @@ def tunnelling(options: WorldOptions) -> str:
 
 
 def flung(options: WorldOptions, kind: str, shots: int = 200) -> str:
-    """Objects thrown at 6 m/s at walls, corners and a pen's walls: how many came through, and how deep they got."""
+    """Objects thrown at 6 m/s at walls, corners and a pen's walls: how many pass through, and their depth."""
     rng, through, deepest = np.random.default_rng(0), 0, 0.0
     agent = kind == "agent"
     centre = np.array(c.cell_centre(8, 4))
@@ -222,7 +222,7 @@ def outside(world: World) -> bool:
 
 
 def walk_up(world: World) -> bool:
-    """Go to the ramp's foot and up; whether that leads out of the pen."""
+    """Go to the foot of the ramp and up. Return whether the agent leaves the pen."""
     assert world.puzzle.pen is not None
     row, column = SIDES[world.puzzle.pen.ramp_side]
     up = np.array([column, -row])
@@ -240,7 +240,7 @@ def walk_up(world: World) -> bool:
 
 
 def pen(options: WorldOptions, pens: int = 200) -> list[str]:
-    """How often the pen is left: without a ramp, by random play with it, and by walking up it."""
+    """How often the agent leaves the pen: without a ramp, by random actions with it, and by walking up it."""
     rng, world = np.random.default_rng(0), World(options)
     runs = [action for action in (1, 2, 3, 4, 5, 6, 7, 8, 2, 6, 4, 8) for _ in range(6)]
     left = [0, 0, 0]
@@ -263,7 +263,7 @@ def pen(options: WorldOptions, pens: int = 200) -> list[str]:
 
 
 def apart(layouts: int = 200, steps: int = 5) -> str:
-    """How far objects are from where half the timestep has them, after some random actions."""
+    """Distances between objects at the timestep and at half of it, after some random actions."""
     rng, worlds = np.random.default_rng(1), [World(options) for options in WORLDS]
     found: list[float] = []
     for number in range(layouts):
@@ -282,7 +282,7 @@ def apart(layouts: int = 200, steps: int = 5) -> str:
 
 
 def long_play(options: WorldOptions, layouts: int, steps: int) -> dict[str, float]:
-    """Extremes of random play; raises if anything leaves the table or is not finite."""
+    """Extremes under random actions. It raises if anything leaves the table or is not finite."""
     rng, world = np.random.default_rng(0), World(options)
     worst = dict.fromkeys(("deepest, cm", "highest agent, cm", "fastest, m/s"), 0.0)
     highest = {"highest other, cm": 0.0, "highest other where there is a stack, cm": 0.0}

@@ -1,10 +1,10 @@
-"""Does a policy still look? What is left of its encoder's features while PPO learns, at every checkpoint.
+"""Does a policy still use its observations? State of its encoder's features while PPO learns, at every checkpoint.
 
     .venv/bin/python benchmarks/study_features.py POLICY_FOLDER [...]
 
-Over pictures of fresh training puzzles of the policy's task: units that are never active (dead), how far the others
-vary (mean deviation over pictures; 0 is a policy that sees nothing), their effective rank (participation ratio of
-the covariance's eigenvalues), and how far the value varies.
+Measured over images of fresh training puzzles of the policy's task: the share of units that are never active (dead);
+how much the others vary (mean standard deviation over images; 0 is a policy that ignores its observations); their
+effective rank (participation ratio of the covariance's eigenvalues); and how much the value varies.
 """
 
 import argparse
@@ -21,12 +21,12 @@ from gym_open.formats.models import load_policy, policy_folder
 from gym_open.train.config import PolicyTrainConfig
 from gym_open.train.policy import first_images
 
-PICTURES = 300
+IMAGES = 300
 
 
 @torch.no_grad()
 def describe(folder: Path, images: torch.Tensor) -> list[str]:
-    """Dead share, spread, effective rank, and the value's deviation, for a table."""
+    """Dead share, spread, effective rank, and standard deviation of the value, as a table row."""
     policy = load_policy(folder)
     if not isinstance(policy.encoder, Encoder):
         return ["–"] * 4
@@ -43,15 +43,15 @@ def main() -> None:
     parser.add_argument("policies", type=Path, nargs="+")
     torch.set_num_threads(1)
     table = Table("policy", "steps", "dead", "spread", "effective rank", "value's deviation")
-    pictures: dict[str, torch.Tensor] = {}
+    images: dict[str, torch.Tensor] = {}
     for path in parser.parse_args().policies:
         config = decode(artefacts.config_of(path), PolicyTrainConfig, source=str(path))
         facts = artefacts.lineage(path).facts
-        if config.task not in pictures:
-            pictures[config.task] = first_images(PolicyTrainConfig(task=config.task, mean_images=PICTURES))
+        if config.task not in images:
+            images[config.task] = first_images(PolicyTrainConfig(task=config.task, mean_images=IMAGES))
         steps = [one["step"] for one in facts["checkpoints"]]
         for step, folder in [*((one, policy_folder(path, one)) for one in steps), (facts["steps"], path)]:
-            table.add_row(path.name, f"{step:,}", *describe(folder, pictures[config.task]))
+            table.add_row(path.name, f"{step:,}", *describe(folder, images[config.task]))
     Console().print(table)
 
 

@@ -1,6 +1,6 @@
-"""What other settings of the physics would give: the reasons in docs/environment.md.
+"""Effects of other settings of the physics: the reasons in docs/environment.md.
 
-.venv/bin/python benchmarks/study_physics.py     # some two minutes; the warnings are the stiffest contacts'
+.venv/bin/python benchmarks/study_physics.py     # about two minutes; the stiffest contacts cause the warnings
 """
 
 import time
@@ -24,14 +24,14 @@ from gym_open.envs.world import World
 
 
 class Setting(NamedTuple):
-    """A model's text with something replaced."""
+    """The XML text of a model with one replacement."""
 
     name: str
     old: str = ""
     new: str = ""
     timestep_s: float = c.TIMESTEP_S
     stiffness: float = 0.0
-    """Of contacts, if another than v1's."""
+    """Parameters of contacts, if they differ from version 1."""
 
 
 SETTINGS = (
@@ -52,7 +52,7 @@ SETTINGS = (
 
 @contextmanager
 def worlds_of(setting: Setting) -> Iterator[WorldOptions]:
-    """Within it, worlds with the options that it gives have this setting."""
+    """Context with options: worlds with these options have this setting."""
     options = WorldOptions(timestep_s=setting.timestep_s, substeps=round(c.CONTROL_DT_S / setting.timestep_s))
     text = m.model_xml(options)
     if setting.stiffness:
@@ -67,7 +67,7 @@ def worlds_of(setting: Setting) -> Iterator[WorldOptions]:
 
 
 def play(options: WorldOptions, layouts: int = 40, steps: int = 50) -> list[str]:
-    """Deepest overlap, highest and fastest at any substep of random play, and how many steps had something outside."""
+    """Deepest overlap, height and speed at any substep of random actions, and steps with an object outside."""
     rng, world = np.random.default_rng(0), World(options)
     deepest, highest, fastest, out = 0.0, 0.0, 0.0, 0
     for number in range(layouts):
@@ -84,7 +84,7 @@ def play(options: WorldOptions, layouts: int = 40, steps: int = 50) -> list[str]
 
 
 def slide(options: WorldOptions) -> str:
-    """Way in cm and direction of a cube that starts at 1.5 m/s, 22.5° off its row."""
+    """Distance in cm and direction of a cube that starts at 1.5 m/s, 22.5° off its row."""
     world = measure.laid(options, ("agent", 1, 1), ("light", 8, 4))
     start = measure.place(world, "light_0").copy()
     angle = np.deg2rad(22.5)
@@ -95,7 +95,7 @@ def slide(options: WorldOptions) -> str:
 
 
 def cost(worlds: dict[str, World], layouts: list[Puzzle], steps: int = 60) -> dict[str, float]:
-    """Microseconds of processor time of a step, the worlds taking turns."""
+    """Microseconds of processor time per step. The worlds take turns."""
     spent = dict.fromkeys(worlds, 0.0)
     for number, puzzle in enumerate(layouts):
         actions = np.random.default_rng(number).integers(1, c.N_ACTIONS, steps).tolist()

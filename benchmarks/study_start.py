@@ -1,12 +1,12 @@
-"""Is what an encoder knows lost in PPO's first updates? `train policy` from an encoder, but with a gentler start.
+"""Do PPO's first updates destroy what an encoder has learned? `train policy` from an encoder, with a gentler start.
 
     .venv/bin/python benchmarks/study_start.py --encoder /tmp/told/cells-5000 --critic-gain 0.01 --balanced --out /tmp/g
     .venv/bin/python benchmarks/study_features.py /tmp/g
 
-`--critic-gain` is the gain of the value head's first weights (1 in `train policy`, as in CleanRL). `--balanced` scales
-every layer of the encoder, not the last alone, so that its outputs are as large as an untrained encoder's; ReLUs let
-that change features by one factor and nothing else. The policy is like any other, but its configuration does not say
-this: say it beside its scores.
+`--critic-gain` is the gain of the value head's initial weights (1 in `train policy`, as in CleanRL). `--balanced`
+scales every layer of the encoder, not only the last one, so that its outputs are as large as an untrained encoder's.
+Because of the ReLUs, this changes all features by one factor. The policy is like any other, but its configuration does
+not record these options: mention them next to its scores.
 """
 
 import argparse
@@ -27,7 +27,7 @@ PICTURES = 250
 
 @torch.no_grad()
 def sizes(encoder: Encoder, images: Tensor) -> list[float]:
-    """Root mean square of what each layer gives, after its ReLU."""
+    """Root mean square of each layer's outputs, after its ReLU."""
     found, x = [], encoder.prepare(images[:PICTURES])
     for layer in encoder.layers:
         x = layer(x)
@@ -38,7 +38,7 @@ def sizes(encoder: Encoder, images: Tensor) -> list[float]:
 
 @torch.no_grad()
 def balance(encoder: Encoder, _how: str, images: Tensor, generator: torch.Generator) -> None:
-    """Scale each layer so that it gives what an untrained encoder's gives. In place of `take_over`."""
+    """Scale each layer to the output size of an untrained encoder. It replaces `take_over`."""
     fresh = Encoder(encoder.config, generator)
     fresh.mean_image.copy_(encoder.mean_image)
     learned = [layer for layer in encoder.layers if isinstance(layer, nn.Conv2d | nn.Linear)]

@@ -2,8 +2,8 @@
 
     .venv/bin/python benchmarks/study_tool_use.py SCORES_FOLDER [...]
 
-Every recorded episode is played again, and it is noted when the agent first stands outside its pen and when it touches
-the goal. Scores of random play and of the oracle are taken like others.
+The script replays every recorded episode, and records when the agent is first outside its pen and when it touches the
+goal. It accepts scores of random actions and of the oracle, too.
 """
 
 import argparse
@@ -22,7 +22,7 @@ from gym_open.replay.episodes import replay_puzzle
 
 
 def first_steps(scores: Path, puzzle: str) -> tuple[float, float]:
-    """The actions after which the agent was first outside its pen, and touched the goal; infinity is never."""
+    """Numbers of actions until the agent was first outside its pen, and until it touched the goal; infinity: never."""
     places: list[np.ndarray] = []
 
     def see(env: OpenEnv, _image: np.ndarray, _info: dict[str, Any]) -> None:
@@ -39,7 +39,7 @@ def first_steps(scores: Path, puzzle: str) -> tuple[float, float]:
 
 
 def main() -> None:
-    """A row for each scores artefact."""
+    """Print one row per scores artefact."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scores", type=Path, nargs="+")
     table = Table(

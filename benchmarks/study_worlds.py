@@ -1,15 +1,15 @@
-"""How many worlds must play see before an encoder can know where things are? And what is it worth to know?
+"""How many worlds does exploration need before an encoder can locate objects? And how much does this help a policy?
 
     .venv/bin/python benchmarks/study_worlds.py --out /tmp/told            # a table, and an encoder for every row
     gym-open train policy --config train/policy-strong.toml --encoder /tmp/told/cells-5000 --agent told-cells
     gym-open train policy --config train/policy-strong.toml --encoder /tmp/told/agent-50 --agent told-agent
 
-The paper's network is told, in pictures of random play, which cell of the table each agent, goal and cube is in
-(`cells`), or where the agent is and nothing else (`agent`). The same number of pictures comes from few worlds or from
-many. No world model is involved: this is what the pictures, not the objective, allow.
+The paper's network learns with supervision, from images of random exploration: either the cells of agent, goals and
+cubes (`cells`), or the position of the agent alone (`agent`). The same number of images comes from few worlds or from
+many. There is no world model: the result shows what the images allow, not what an objective finds.
 
-In new worlds it must name the cells: of the n objects of a kind, how many lie in the n cells that it holds most likely;
-or the agent's place: how far it is missed by, in cells.
+In new worlds, it must find the cells: of the n objects of a kind, how many are in the n most likely cells. Or it must
+find the agent: its mean error in cells.
 """
 
 import argparse
@@ -39,12 +39,12 @@ KINDS = ("agent", "yellow", "green", "heavy", "light")
 BODIES = [[i for i, body in enumerate(INVENTORY) if body.split("_")[0] == kind] for kind in KINDS]
 CELLS = c.ROWS * c.COLUMNS
 APART = 3
-"""Random moves between two pictures of one world."""
+"""Random moves between two images of one world."""
 HELD_OUT = 500
 
 
 class TellConfig(Config, frozen=True, kw_only=True):
-    """What decides such an encoder."""
+    """Configuration of such an encoder."""
 
     what: Literal["cells", "agent"]
     worlds: int
@@ -55,19 +55,19 @@ class TellConfig(Config, frozen=True, kw_only=True):
     seed: int = 0
 
 
-class Told(NamedTuple):
-    """Pictures of random play, and what there is to tell of them."""
+class LabelledImages(NamedTuple):
+    """Images of random exploration, and their labels."""
 
     images: Tensor
     """(N, 84, 84, 3) uint8."""
     cells: Tensor
-    """Which cells hold something, (N, kinds, cells) float32."""
+    """Which cells hold an object, (N, kinds, cells) float32."""
     agent: Tensor
-    """Where the agent is, (N, 2) float32, in cells from the table's middle."""
+    """Position of the agent, (N, 2) float32, in cells from the middle of the table."""
 
 
-def draw(worlds: int, pictures: int, rng: np.random.Generator) -> Told:
-    """Pictures of `worlds` new worlds, as many of each."""
+def draw(worlds: int, pictures: int, rng: np.random.Generator) -> LabelledImages:
+    """Draw images of `worlds` new worlds, equally many of each."""
     world = World()
     images = np.empty((pictures, c.IMAGE_SIZE, c.IMAGE_SIZE, 3), np.uint8)
     there = np.zeros((pictures, len(KINDS), CELLS), np.float32)
@@ -86,30 +86,30 @@ def draw(worlds: int, pictures: int, rng: np.random.Generator) -> Told:
                     own = places[bodies]
                     there[i, kind, cell_of(own[np.abs(own[:, 1]) < c.WALL_Y])] = 1
             bar.advance()
-    return Told(torch.from_numpy(images), torch.from_numpy(there), torch.from_numpy(agent))
+    return LabelledImages(torch.from_numpy(images), torch.from_numpy(there), torch.from_numpy(agent))
 
 
 def cell_of(places: np.ndarray) -> np.ndarray:
-    """Number of the grid cell that is nearest to each of the places, (n, 2) in metres."""
+    """Number of the grid cell that is nearest to each position, (n, 2) in metres."""
     columns = np.clip(np.rint((places[:, 0] - c.CELL_0[0]) / c.PITCH), 0, c.COLUMNS - 1)
     rows = np.clip(np.rint((c.CELL_0[1] - places[:, 1]) / c.PITCH), 0, c.ROWS - 1)
     return (rows * c.COLUMNS + columns).astype(int)
 
 
-def tell(config: TellConfig, encoder: Encoder, head: nn.Linear, told: Told) -> None:
-    """Teach encoder and head which cells are taken, or where the agent is."""
+def supervise(config: TellConfig, encoder: Encoder, head: nn.Linear, labelled: LabelledImages) -> None:
+    """Train encoder and head to predict the occupied cells, or the position of the agent."""
     rng = seeding.generator(config.seed, "tell", "batches")
     optimizer = torch.optim.Adam([*encoder.parameters(), *head.parameters()], lr=config.learning_rate, fused=True)
     with progress.bar(f"{config.worlds:,} worlds", config.updates) as bar:
         for _ in range(config.updates):
-            chosen = torch.from_numpy(rng.integers(len(told.images), size=config.batch_size))
+            chosen = torch.from_numpy(rng.integers(len(labelled.images), size=config.batch_size))
             with autocast("auto"):
-                answer = head(encoder(encoder.prepare(told.images[chosen])))
+                answer = head(encoder(encoder.prepare(labelled.images[chosen])))
             if config.what == "cells":
-                truth = told.cells[chosen].flatten(1)
+                truth = labelled.cells[chosen].flatten(1)
                 loss = nn.functional.binary_cross_entropy_with_logits(answer.float(), truth)
             else:
-                loss = nn.functional.mse_loss(answer.float(), told.agent[chosen])
+                loss = nn.functional.mse_loss(answer.float(), labelled.agent[chosen])
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
@@ -117,31 +117,31 @@ def tell(config: TellConfig, encoder: Encoder, head: nn.Linear, told: Told) -> N
 
 
 @torch.no_grad()
-def found(encoder: Encoder, head: nn.Linear, told: Told) -> list[float]:
-    """By kind, the share of taken cells that are among the n most likely ones, n being how many are taken."""
-    logits = head(torch.cat([encoder.encode(part) for part in told.images.split(250)])).view(told.cells.shape)
+def found(encoder: Encoder, head: nn.Linear, labelled: LabelledImages) -> list[float]:
+    """Share of occupied cells that are among the n most likely ones, by kind. n is the number of occupied cells."""
+    logits = head(torch.cat([encoder.encode(part) for part in labelled.images.split(250)])).view(labelled.cells.shape)
     best = logits.argsort(dim=-1, descending=True).argsort(dim=-1)
-    named = (best < told.cells.sum(dim=-1, keepdim=True)) & told.cells.bool()
-    return (named.sum(dim=(0, 2)) / told.cells.sum(dim=(0, 2))).tolist()
+    named = (best < labelled.cells.sum(dim=-1, keepdim=True)) & labelled.cells.bool()
+    return (named.sum(dim=(0, 2)) / labelled.cells.sum(dim=(0, 2))).tolist()
 
 
 @torch.no_grad()
-def missed_by(encoder: Encoder, head: nn.Linear, told: Told) -> list[float]:
-    """How far the agent is from where it is said to be: the mean, in cells."""
-    answer = head(torch.cat([encoder.encode(part) for part in told.images.split(250)]))
-    return [(answer - told.agent).norm(dim=1).mean().item()]
+def missed_by(encoder: Encoder, head: nn.Linear, labelled: LabelledImages) -> list[float]:
+    """Mean distance in cells between the agent and its predicted position."""
+    answer = head(torch.cat([encoder.encode(part) for part in labelled.images.split(250)]))
+    return [(answer - labelled.agent).norm(dim=1).mean().item()]
 
 
-def study(config: TellConfig, out: Path, held_out: Told) -> list[float]:
-    """Make the encoder of one row, and say what it knows in new worlds."""
+def study(config: TellConfig, out: Path, held_out: LabelledImages) -> list[float]:
+    """Train the encoder of one row, and measure it in new worlds."""
 
     def work(folder: Path) -> Mapping[str, Any]:
         init = torch.Generator().manual_seed(seeding.integer(config.seed, "tell", "init"))
         encoder = Encoder(EncoderConfig(), init)
         head = nn.Linear(encoder.config.features, len(KINDS) * CELLS if config.what == "cells" else 2)
-        told = draw(config.worlds, config.pictures, seeding.generator(config.seed, "tell", config.worlds))
-        encoder.set_mean_image(told.images)
-        tell(config, encoder, head, told)
+        labelled = draw(config.worlds, config.pictures, seeding.generator(config.seed, "tell", config.worlds))
+        encoder.set_mean_image(labelled.images)
+        supervise(config, encoder, head, labelled)
         save_encoder(folder, encoder)
         knows = (found if config.what == "cells" else missed_by)(encoder, head, held_out)
         return {"world_model": "told", "worlds": config.worlds, "knows": knows}
@@ -153,7 +153,7 @@ def study(config: TellConfig, out: Path, held_out: Told) -> list[float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="folder for the encoders")
-    parser.add_argument("--what", choices=("cells", "agent"), default="cells", help="what it is told")
+    parser.add_argument("--what", choices=("cells", "agent"), default="cells", help="what it learns to predict")
     parser.add_argument("--worlds", type=int, nargs="+", default=[10, 50, 500, 5_000])
     parser.add_argument("--pictures", type=int, default=10_000)
     parser.add_argument("--updates", type=int, default=2_000)
@@ -174,11 +174,11 @@ def main() -> None:
     Console().print(table)
 
 
-def chance(what: str, told: Told) -> list[float]:
-    """What cells drawn at random would find; how far the agent is from its mean place."""
+def chance(what: str, labelled: LabelledImages) -> list[float]:
+    """Result of random cells; and the mean distance of the agent from its mean position."""
     if what == "agent":
-        return [(told.agent - told.agent.mean(dim=0)).norm(dim=1).mean().item()]
-    return (told.cells.sum(dim=(0, 2)) / HELD_OUT / CELLS).tolist()
+        return [(labelled.agent - labelled.agent.mean(dim=0)).norm(dim=1).mean().item()]
+    return (labelled.cells.sum(dim=(0, 2)) / HELD_OUT / CELLS).tolist()
 
 
 if __name__ == "__main__":
