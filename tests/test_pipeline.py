@@ -1,4 +1,4 @@
-"""The whole pipeline on a tiny run: from play to score, twice in two folders, once killed in the middle."""
+"""The whole pipeline as a tiny run: from exploration to score, in two folders, and killed in one of them."""
 
 import json
 import re
@@ -74,7 +74,7 @@ def _digests(root: Path) -> dict[str, str]:
 
 
 class Runs(NamedTuple):
-    """One run left alone, and one in another folder that was killed twice and started again."""
+    """An undisturbed run, and a run in another folder that was killed twice and started again."""
 
     root: Path
     shown: str
@@ -97,7 +97,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runs]:
     shutil.rmtree(base)
 
 
-def test_policies_may_be_scored_on_their_likeliest_actions_but_random_play_has_none(tmp_path: Path) -> None:
+def test_policies_may_be_scored_with_greedy_actions_but_random_actions_stay_random(tmp_path: Path) -> None:
     workspace.init(tmp_path)
     (tmp_path / "evaluate/goal-seeking.toml").write_text('actions = "greedy"')
     scored = [
@@ -147,7 +147,7 @@ def test_the_policy_from_the_encoder_is_proven_task_free(runs: Runs) -> None:
     assert proof["chain"][-1].endswith(log[:12])
 
 
-def test_in_a_pipe_every_stage_says_when_it_begins_and_when_it_ends(runs: Runs) -> None:
+def test_in_a_pipe_every_stage_prints_its_start_and_its_end(runs: Runs) -> None:
     plan = read_plan(runs.root, 0)
     row, steps = stages(plan, runs.root, 0), plan.collect.steps
     patterns = [r"gym-open [0-9.]+ on \d+ cores?.*, .+ free: .+ for 11 stages"]
@@ -161,7 +161,7 @@ def test_in_a_pipe_every_stage_says_when_it_begins_and_when_it_ends(runs: Runs) 
     assert "\x1b" not in runs.shown
 
 
-def test_a_second_run_does_nothing_and_says_so(runs: Runs, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_second_run_does_nothing_and_reports_so(runs: Runs, capsys: pytest.CaptureFixture[str]) -> None:
     root = runs.root
     before = {path: path.stat().st_mtime_ns for path in root.rglob("*")}
     assert main(["run", "--workspace", str(root)]) == 0
@@ -172,7 +172,7 @@ def test_a_second_run_does_nothing_and_says_so(runs: Runs, capsys: pytest.Captur
 
 
 @pytest.mark.parametrize("quiet", [False, True])
-def test_a_program_reads_a_record_a_stage(quiet: bool, runs: Runs, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_program_reads_one_record_per_stage(quiet: bool, runs: Runs, capsys: pytest.CaptureFixture[str]) -> None:
     root = runs.root
     assert main(["run", "--workspace", str(root), "--json", *["--quiet"] * quiet]) == 0
     said = capsys.readouterr()
@@ -193,14 +193,14 @@ def test_a_program_reads_a_record_a_stage(quiet: bool, runs: Runs, capsys: pytes
     assert quiet == (not said.err)
 
 
-def test_who_wants_it_quiet_reads_one_line(runs: Runs, capsys: pytest.CaptureFixture[str]) -> None:
+def test_quiet_prints_one_line(runs: Runs, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", "--workspace", str(runs.root), "--quiet"]) == 0
     said = capsys.readouterr()
     assert re.fullmatch(r"nothing to do: all 11 stages are up to date; A-Success: .*random 0\.\d+\n", said.out)
     assert not said.err
 
 
-def test_a_stage_alone_is_quiet_and_tells_programs_too(
+def test_a_stage_alone_can_be_quiet_and_print_a_record(
     runs: Runs, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["evaluate", "--workspace", str(runs.root), "--out", str(tmp_path / "scores")]

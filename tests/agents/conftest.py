@@ -1,4 +1,4 @@
-"""What the agents' tests learn from."""
+"""Data that the agents' tests learn from."""
 
 from collections.abc import Callable, Iterator
 
@@ -21,8 +21,8 @@ def one_thread() -> Iterator[None]:
 
 
 @pytest.fixture
-def pictures() -> Callable[..., torch.Tensor]:
-    """`pictures(count, seed)`: a square of a colour of its own at a place of its own in every picture."""
+def make_images() -> Callable[..., torch.Tensor]:
+    """`make_images(count, seed)`: each image shows one square of a random colour at a random place."""
 
     def draw(count: int, seed: int = 0) -> torch.Tensor:
         rng = np.random.default_rng(seed)
@@ -37,7 +37,7 @@ def pictures() -> Callable[..., torch.Tensor]:
 
 @pytest.fixture(scope="session")
 def random_play() -> Callable[[int, int], TransitionBatch]:
-    """`random_play(n, seed)`: n steps of uniformly random play in a sandbox world that the seed decides."""
+    """`random_play(n, seed)`: n steps with uniformly random actions in a sandbox world that depends on the seed."""
 
     def play(n: int, seed: int) -> TransitionBatch:
         rng = seeding.generator(seed, "test", "random play")

@@ -1,4 +1,4 @@
-"""Borrowed memory is used again, and never while anything still refers to it."""
+"""Borrowed memory is reused, but never while anything still refers to it."""
 
 import numpy as np
 import pytest
@@ -19,14 +19,14 @@ def where(array: np.ndarray) -> int:
     return array.__array_interface__["data"][0]
 
 
-def test_memory_is_used_again_for_arrays_up_to_half_as_small() -> None:
+def test_memory_is_reused_for_arrays_of_at_least_half_its_size() -> None:
     place = where(borrow(SHAPE, np.float32))
     assert where(borrow(SHAPE, np.float32)) == place
     assert where(borrow(SHAPE, np.uint16)) == place
     assert where(borrow((2**21,), np.uint8)) != place
 
 
-def test_it_is_left_alone_while_a_view_or_a_tensor_refers_to_it() -> None:
+def test_memory_is_not_reused_while_a_view_or_a_tensor_refers_to_it() -> None:
     array = borrow(SHAPE, np.float32)
     place = where(array)
     row = array[1]
@@ -39,7 +39,7 @@ def test_it_is_left_alone_while_a_view_or_a_tensor_refers_to_it() -> None:
     assert where(borrow(SHAPE, np.float32)) == place
 
 
-def test_what_is_small_or_huge_is_not_kept() -> None:
+def test_small_and_huge_arrays_are_not_kept() -> None:
     for size in (100, 2**26):
         first, second = borrow((size,), np.float32), borrow((size,), np.float32)
         assert first.base is None

@@ -12,7 +12,7 @@ from gym_open.agents.curl import Curl
 from gym_open.agents.encoder import Encoder
 from gym_open.agents.world_model import TransitionBatch
 
-Pictures = Callable[..., torch.Tensor]
+MakeImages = Callable[..., torch.Tensor]
 
 
 def curl(seed: int = 0, pad: int = 4) -> Curl:
@@ -26,13 +26,13 @@ def steps(images: torch.Tensor) -> TransitionBatch:
 
 
 def plain_info_nce(logits: np.ndarray) -> np.ndarray:
-    """The log share of each query's partner."""
+    """Log probability of each query's own key."""
     return -np.array([np.log(np.exp(row[i]) / np.exp(row).sum()) for i, row in enumerate(logits.astype(np.float64))])
 
 
-def test_loss_world_loss_and_errors_are_info_nce_of_the_right_pictures(pictures: Pictures) -> None:
+def test_loss_world_loss_and_errors_are_info_nce_of_the_right_images(make_images: MakeImages) -> None:
     """Without shifts, all three can be computed from the latents."""
-    model, images = curl(pad=0), pictures(5)
+    model, images = curl(pad=0), make_images(5)
     z = model.latent(images).numpy()
     expected = plain_info_nce(z @ model.W.detach().numpy() @ z.T)
     play, nothing = steps(images), torch.Generator()
@@ -43,9 +43,9 @@ def test_loss_world_loss_and_errors_are_info_nce_of_the_right_pictures(pictures:
     np.testing.assert_allclose(model.errors(play)["error"].numpy(), expected[::-1], rtol=1e-3, atol=1e-5)
 
 
-def test_the_loss_compares_the_given_shift_with_a_drawn_one(pictures: Pictures) -> None:
-    model, images = curl(pad=6), pictures(8)
-    torch.nn.init.eye_(model.W)  # so that some pictures are told apart before any learning, and others not
+def test_the_loss_compares_the_given_shift_with_a_drawn_one(make_images: MakeImages) -> None:
+    model, images = curl(pad=6), make_images(8)
+    torch.nn.init.eye_(model.W)  # so that some images are distinguished before any learning, and others not
     given = torch.randint(-6, 7, (8, 2), generator=torch.Generator().manual_seed(3))
     drawn = torch.randint(-6, 7, (8, 2), generator=torch.Generator().manual_seed(5))
     with torch.no_grad():
@@ -59,17 +59,17 @@ def test_the_loss_compares_the_given_shift_with_a_drawn_one(pictures: Pictures) 
     np.testing.assert_allclose(figures["accuracy"].item(), accuracy, rtol=1e-6)
 
 
-def test_latent_is_layer_normalised(pictures: Pictures) -> None:
-    z = curl().latent(pictures(3)).numpy()
+def test_latent_is_layer_normalised(make_images: MakeImages) -> None:
+    z = curl().latent(make_images(3)).numpy()
     np.testing.assert_allclose(z.mean(axis=1), 0, atol=1e-5)
     np.testing.assert_allclose(z.std(axis=1), 1, atol=1e-2)
 
 
-def test_key_moves_by_tau_every_second_step_and_never_otherwise(pictures: Pictures) -> None:
+def test_key_moves_by_tau_every_second_step_and_never_otherwise(make_images: MakeImages) -> None:
     model = curl()
     before = [parameter.clone() for parameter in model.key.parameters()]
     optimizer = torch.optim.Adam([p for p in model.parameters() if p.requires_grad], lr=1e-2)
-    model.loss(steps(pictures(8)), no_shifts(8), torch.Generator().manual_seed(0)).backward()
+    model.loss(steps(make_images(8)), no_shifts(8), torch.Generator().manual_seed(0)).backward()
     optimizer.step()
     model.stepped()
     assert all(torch.equal(a, b) for a, b in zip(before, model.key.parameters(), strict=True))
@@ -81,16 +81,16 @@ def test_key_moves_by_tau_every_second_step_and_never_otherwise(pictures: Pictur
     assert not any(torch.equal(a, b) for a, b in zip(before, model.key.parameters(), strict=True))
 
 
-def test_key_network_gets_no_gradient_and_encoder_does(pictures: Pictures) -> None:
+def test_key_network_gets_no_gradient_and_encoder_does(make_images: MakeImages) -> None:
     model = curl()
-    model.loss(steps(pictures(8)), no_shifts(8), torch.Generator().manual_seed(0)).backward()
+    model.loss(steps(make_images(8)), no_shifts(8), torch.Generator().manual_seed(0)).backward()
     assert all(parameter.grad is None for parameter in model.key.parameters())
     assert all(parameter.grad is not None for parameter in model.encoder.parameters())
 
 
 @pytest.mark.learning
-def test_curl_learns_to_tell_pictures_apart(pictures: Pictures) -> None:
-    model, images, generator = curl(), pictures(16), torch.Generator().manual_seed(0)
+def test_curl_learns_to_tell_images_apart(make_images: MakeImages) -> None:
+    model, images, generator = curl(), make_images(16), torch.Generator().manual_seed(0)
     optimizer = torch.optim.Adam([p for p in model.parameters() if p.requires_grad], lr=1e-3)
 
     def measured() -> tuple[torch.Tensor, dict[str, torch.Tensor]]:

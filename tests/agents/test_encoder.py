@@ -11,7 +11,7 @@ from gym_open.agents.config import EncoderConfig
 from gym_open.agents.encoder import Encoder, autocast
 
 
-def pictures(n: int, seed: int = 0) -> torch.Tensor:
+def make_images(n: int, seed: int = 0) -> torch.Tensor:
     return torch.from_numpy(np.random.default_rng(seed).integers(0, 256, (n, 84, 84, 3), dtype=np.uint8))
 
 
@@ -20,7 +20,7 @@ def encoder(seed: int = 0, **settings: float) -> Encoder:
 
 
 def test_prepare_centres_scales_and_moves_channels_first() -> None:
-    net, images = encoder(pixel_scale=10.0), pictures(5)
+    net, images = encoder(pixel_scale=10.0), make_images(5)
     net.set_mean_image(images[:3])
     plain = images.numpy().astype(np.float64)
     expected = ((plain - plain[:3].mean(axis=0)) * 10 / 255).transpose(0, 3, 1, 2)
@@ -30,8 +30,8 @@ def test_prepare_centres_scales_and_moves_channels_first() -> None:
 
 
 def test_arrays_are_encoded_as_tensors_are() -> None:
-    """Read-only ones and views that run backwards, too, and without a warning."""
-    net, images = encoder(features=8), pictures(3)
+    """Also read-only arrays and views with negative strides, without a warning."""
+    net, images = encoder(features=8), make_images(3)
     expected = net.encode(images)
     array = images.numpy().copy()
     array.flags.writeable = False
@@ -45,14 +45,14 @@ def test_arrays_are_encoded_as_tensors_are() -> None:
 @pytest.mark.parametrize(
     ("shape", "dtype"), [((84, 84, 3), "uint8"), ((1, 3, 84, 84), "uint8"), ((1, 84, 84, 3), "float32")]
 )
-def test_what_are_no_pictures_is_not_encoded(kind: str, shape: tuple[int, ...], dtype: str) -> None:
+def test_arrays_that_are_no_images_are_not_encoded(kind: str, shape: tuple[int, ...], dtype: str) -> None:
     array = np.zeros(shape, dtype)
     with pytest.raises(ValueError, match=r"must be \(B, 84, 84, 3\) uint8, got \(.*\) .*" + dtype):
         encoder(features=8).encode(array if kind == "array" else torch.from_numpy(array))
 
 
 def test_mean_image_is_the_same_for_any_order() -> None:
-    net, images = encoder(), pictures(100)
+    net, images = encoder(), make_images(100)
     net.set_mean_image(images)
     first = net.mean_image.clone()
     net.set_mean_image(images.flip(0))
@@ -60,7 +60,7 @@ def test_mean_image_is_the_same_for_any_order() -> None:
 
 
 @pytest.mark.parametrize("shape", [(0, 84, 84, 3), (2, 3, 84, 84)])
-def test_set_mean_image_refuses_what_are_no_pictures(shape: tuple[int, ...]) -> None:
+def test_set_mean_image_refuses_arrays_that_are_no_images(shape: tuple[int, ...]) -> None:
     with pytest.raises(ValueError, match=r"must have shape \(N, 84, 84, 3\)"):
         encoder().set_mean_image(torch.zeros(shape, dtype=torch.uint8))
 
@@ -95,7 +95,7 @@ def test_initial_weights_are_orthogonal_with_gain_root_two() -> None:
 
 def test_bf16_stays_near_fp32_and_is_really_bf16() -> None:
     net = encoder()
-    x = net.prepare(pictures(4))
+    x = net.prepare(make_images(4))
     with autocast("bf16"):
         low = net(x)
     with autocast("fp32"):
@@ -105,18 +105,18 @@ def test_bf16_stays_near_fp32_and_is_really_bf16() -> None:
     assert (low.float() - high).norm() < 0.02 * high.norm()
 
 
-def moved(picture: np.ndarray, down: int, right: int) -> np.ndarray:
-    """A picture (H, W, C) moved, zero coming in."""
+def moved(image: np.ndarray, down: int, right: int) -> np.ndarray:
+    """An image (H, W, C), moved, with zeros at the edge."""
     pad = 20
-    height, width, _ = picture.shape
-    padded = np.pad(picture, ((pad, pad), (pad, pad), (0, 0)))
+    height, width, _ = image.shape
+    padded = np.pad(image, ((pad, pad), (pad, pad), (0, 0)))
     return padded[pad - down : pad - down + height, pad - right : pad - right + width]
 
 
 @given(seed=st.integers(0, 2**32), pad=st.integers(0, 12))
 @settings(max_examples=20)
-def test_shifts_are_applied_to_prepared_pictures_and_zero_comes_in(seed: int, pad: int) -> None:
-    net, images = encoder(), pictures(6, seed)
+def test_shifts_are_applied_to_prepared_images_with_zeros_at_the_edge(seed: int, pad: int) -> None:
+    net, images = encoder(), make_images(6, seed)
     net.set_mean_image(images[:4])
     shifts = draw_shifts(6, pad, torch.Generator().manual_seed(seed))
     plain = images.numpy().astype(np.float64)
@@ -132,7 +132,7 @@ def test_shifts_are_applied_to_prepared_pictures_and_zero_comes_in(seed: int, pa
 
 
 def test_preparing_centres_and_scales() -> None:
-    net, images = encoder(), pictures(3)
+    net, images = encoder(), make_images(3)
     net.set_mean_image(images[:2])
     plain = images.double()
     expected = (plain - plain[:2].mean(dim=0)) * 20 / 255
@@ -145,9 +145,9 @@ def test_preparing_centres_and_scales() -> None:
 @given(seed=st.integers(0, 2**32), pad=st.integers(0, 12))
 @settings(max_examples=20)
 def test_the_compiled_shift_is_that_of_tensor_operations(seed: int, pad: int) -> None:
-    """What runs on a GPU, run here; and bf16 is rounded as PyTorch rounds."""
+    """The code for GPUs, run on the CPU; and bf16 is rounded as in PyTorch."""
     generator = torch.Generator().manual_seed(seed)
-    images = pictures(3, seed)[:, :20, :30]
+    images = make_images(3, seed)[:, :20, :30]
     weight, offset = torch.randn(20, 30, 3, generator=generator), torch.randn(20, 30, 3, generator=generator)
     shifts = draw_shifts(3, pad, generator)
     found = shift_each(images, shifts, weight, offset, torch.float32)

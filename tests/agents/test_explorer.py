@@ -1,4 +1,4 @@
-"""The explorer: what it is made of, how it is rewarded, what it learns, and that its state comes back whole."""
+"""The explorer: its parts, its rewards, what it learns, and that its whole state is restored."""
 
 import copy
 import math
@@ -26,7 +26,7 @@ from gym_open.agents.rewards import make_reward
 from gym_open.agents.world_model import TransitionBatch
 from gym_open.agents.world_models import WORLD_MODELS
 
-Pictures = Callable[..., Tensor]
+MakeImages = Callable[..., Tensor]
 PPO = PPOConfig(learning_rate=1e-3, minibatch_size=16, update_epochs=1, shift_pad=2, precision="fp32")
 LEARNERS: list[tuple[WorldModelName, RewardName]] = [
     (model, reward) for model in WORLD_MODELS for reward in (*INTRINSIC_REWARDS, "none")
@@ -50,9 +50,9 @@ def explorer(
 
 
 @pytest.fixture
-def seen(pictures: Pictures) -> Tensor:
+def seen(make_images: MakeImages) -> Tensor:
     """Observations around 8 steps in 2 worlds."""
-    return torch.stack([pictures(2, seed) for seed in range(9)])
+    return torch.stack([make_images(2, seed) for seed in range(9)])
 
 
 def play(one: Explorer, seen: Tensor) -> tuple[list[Acted], LearnedRollout]:
@@ -69,7 +69,7 @@ def transitions(seen: Tensor) -> TransitionBatch:
 
 
 @every_learner
-def test_reward_and_parts_are_what_the_model_made_of_the_steps_before_it_learned(
+def test_rewards_and_parts_come_from_the_model_before_it_learned(
     model: WorldModelName, reward: RewardName, seen: Tensor
 ) -> None:
     one, twin = explorer(model, reward), explorer(model, reward)
@@ -103,7 +103,7 @@ def test_one_optimiser_holds_every_learned_parameter_once(model: WorldModelName,
 
 
 @pytest.mark.parametrize("model", WORLD_MODELS)
-def test_policy_and_model_share_an_encoder_unless_told_not_to(model: WorldModelName, seen: Tensor) -> None:
+def test_policy_and_model_share_an_encoder_unless_configured_otherwise(model: WorldModelName, seen: Tensor) -> None:
     together, apart = explorer(model), explorer(model, share=False)
     for one, shared in ((together, True), (apart, False)):
         assert one.policy is not None
@@ -121,7 +121,7 @@ def test_policy_and_model_share_an_encoder_unless_told_not_to(model: WorldModelN
 def test_the_world_models_gradient_reaches_the_policys_encoder_only_if_it_is_shared(
     model: WorldModelName, share: bool, seen: Tensor
 ) -> None:
-    """With no gradient from the policy (no advantage, no entropy, no value), what moves it is the model's."""
+    """Without a gradient from the policy (no advantage, entropy or value), only the model's gradient changes it."""
     still = PPOConfig(
         learning_rate=1e-3, minibatch_size=16, update_epochs=1, ent_coef=0.0, vf_coef=0.0, shift_pad=0, precision="fp32"
     )
@@ -129,17 +129,17 @@ def test_the_world_models_gradient_reaches_the_policys_encoder_only_if_it_is_sha
     assert one.policy is not None
     assert one.model is not None
     with torch.no_grad():
-        one.policy.actor.weight.zero_()  # so that the policy's loss says nothing to the features
+        one.policy.actor.weight.zero_()  # so that the policy's loss has no gradient for the features
     before, own = first_weights(one.policy.encoder), first_weights(one.model.encoder)
     play(one, seen)
     assert torch.equal(first_weights(one.policy.encoder), before) != share
     assert not torch.equal(first_weights(one.model.encoder), own)
 
 
-def test_actions_follow_the_policy_and_figures_are_its_own(pictures: Pictures) -> None:
+def test_actions_follow_the_policy_and_figures_are_its_own(make_images: MakeImages) -> None:
     one = explorer()
     assert one.policy is not None
-    images = pictures(1).expand(2000, -1, -1, -1)
+    images = make_images(1).expand(2000, -1, -1, -1)
     with torch.no_grad():
         one.policy.actor.bias.copy_(torch.linspace(-1, 1, 9))
         logits, values = one.policy(one.policy.encoder.prepare(images[:1]))
@@ -152,19 +152,19 @@ def test_actions_follow_the_policy_and_figures_are_its_own(pictures: Pictures) -
 
 
 @pytest.mark.parametrize(("model", "reward"), [("none", "none"), ("curl", "none"), ("icm", "none")])
-def test_random_play_is_uniform_and_worth_nothing(
-    model: WorldModelName, reward: RewardName, pictures: Pictures
+def test_random_exploration_is_uniform_and_has_value_zero(
+    model: WorldModelName, reward: RewardName, make_images: MakeImages
 ) -> None:
     one = explorer(model, reward)
     assert one.policy is None
-    acted = one.act(pictures(1).expand(4500, -1, -1, -1))
+    acted = one.act(make_images(1).expand(4500, -1, -1, -1))
     np.testing.assert_allclose(np.bincount(acted.actions, minlength=9), 500, atol=5 * np.sqrt(500))
     np.testing.assert_allclose(acted.entropy.numpy(), np.log(9), rtol=1e-6)
     np.testing.assert_allclose(acted.logprobs.numpy(), -np.log(9), rtol=1e-6)
     assert not acted.values.any()
 
 
-def test_plain_random_play_learns_nothing_and_says_so(seen: Tensor) -> None:
+def test_plain_random_exploration_learns_nothing_and_reports_so(seen: Tensor) -> None:
     one = explorer("none", "none")
     assert not one.learns
     assert one.encoder is None
@@ -177,7 +177,7 @@ def test_plain_random_play_learns_nothing_and_says_so(seen: Tensor) -> None:
     assert math.isnan(one.world_loss(transitions(seen), torch.Generator()))
 
 
-def test_random_play_with_a_model_learns_the_model_alone(seen: Tensor) -> None:
+def test_random_exploration_with_a_model_trains_the_model_alone(seen: Tensor) -> None:
     one = explorer("curl", "none")
     assert one.model is not None
     assert one.encoder is one.model.encoder
@@ -218,11 +218,11 @@ def test_the_world_model_learns_a_fixed_rollout(model: WorldModelName, seen: Ten
 
 
 @pytest.mark.learning
-def test_the_policy_learns_to_have_impact(pictures: Pictures) -> None:
-    """In a world where action 3 changes everything and the others nothing, action 3 becomes the likely one."""
+def test_the_policy_learns_to_have_impact(make_images: MakeImages) -> None:
+    """In a world where action 3 changes everything and the others nothing, action 3 becomes likely."""
     one = explorer()
     assert one.policy is not None
-    here, there = pictures(2, 0), pictures(2, 1)
+    here, there = make_images(2, 0), make_images(2, 1)
     first = one.act(here)
     for turn in range(8):
         images: list[Tensor] = [here]
@@ -244,8 +244,8 @@ def test_the_policy_learns_to_have_impact(pictures: Pictures) -> None:
 
 
 @every_learner
-def test_its_state_comes_back_whole(model: WorldModelName, reward: RewardName, seen: Tensor) -> None:
-    """Restored in the middle, a second explorer goes on exactly as the first."""
+def test_its_whole_state_is_restored(model: WorldModelName, reward: RewardName, seen: Tensor) -> None:
+    """A second explorer with the restored state continues exactly like the first."""
     one, other = explorer(model, reward, share=False), explorer(model, reward, share=False, seed=9)
     play(one, seen)
     other.load_tensors({name: tensor.clone() for name, tensor in one.tensors().items()})

@@ -1,4 +1,4 @@
-"""Which explorers there are, and which are refused."""
+"""Explorers that exist, and explorers that are refused."""
 
 from typing import cast, get_args
 
@@ -30,7 +30,7 @@ def test_a_new_reward_has_a_name_too() -> None:
     assert ExplorerConfig(world_model="icm", reward=cast("RewardName", "counts")).name == "icm+counts"
 
 
-def test_the_tables_hold_what_can_be_asked_for() -> None:
+def test_names_in_configurations_are_those_of_the_tables() -> None:
     assert {*WORLD_MODELS, "none"} == set(get_args(ExplorerModelName))
     assert {*INTRINSIC_REWARDS, "none"} == set(get_args(RewardName))
 

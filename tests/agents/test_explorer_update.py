@@ -1,4 +1,4 @@
-"""The explorer's update against the same computed anew: advantages, returns, loss, clipped gradient, Adam's step."""
+"""The explorer's update, compared with an independent computation: advantages, loss, clipped gradient, Adam's step."""
 
 import math
 from collections.abc import Callable, Iterable
@@ -15,7 +15,7 @@ from gym_open.agents.explorer import Acted, Explorer
 from gym_open.agents.world_model import TransitionBatch
 from gym_open.errors import DivergedError
 
-Pictures = Callable[..., Tensor]
+MakeImages = Callable[..., Tensor]
 T, N = 8, 2
 
 
@@ -37,14 +37,14 @@ def learned_parameters(one: Explorer) -> list[Tensor]:
 
 
 @pytest.fixture
-def seen(pictures: Pictures) -> Tensor:
+def seen(make_images: MakeImages) -> Tensor:
     """Observations around 8 steps in 2 worlds."""
-    return torch.stack([pictures(N, seed) for seed in range(T + 1)])
+    return torch.stack([make_images(N, seed) for seed in range(T + 1)])
 
 
 @pytest.fixture
 def acted() -> list[Acted]:
-    """Play of another policy than the one that learns from it, so that ratios and values reach beyond their clips."""
+    """Steps of another policy than the one that learns from them, so that ratios and values exceed their clips."""
     rng = np.random.default_rng(0)
 
     def numbers(mean: float) -> Tensor:
@@ -54,13 +54,13 @@ def acted() -> list[Acted]:
 
 
 def plain_advantages(rewards: np.ndarray, values: np.ndarray, gamma: float, lam: float) -> np.ndarray:
-    """Straight from the definition: Σ_k (γλ)^k δ_{t+k}, with the value after the last step (values are one longer)."""
+    """By definition: Σ_k (γλ)^k δ_{t+k}, with the value after the last step (there is one more value)."""
     delta = rewards + gamma * values[1:] - values[:-1]
     return np.stack([sum((gamma * lam) ** k * delta[t + k] for k in range(T - t)) for t in range(T)])
 
 
 def plain_scale(rewards: np.ndarray, gamma: float) -> np.ndarray:
-    """Rewards over the deviation of their discounted sums so far."""
+    """Rewards divided by the standard deviation of their discounted sums so far."""
     sums = [sum(gamma**k * rewards[t - k] for k in range(t + 1)) for t in range(T)]
     return rewards / np.std(sums)
 
@@ -68,7 +68,7 @@ def plain_scale(rewards: np.ndarray, gamma: float) -> np.ndarray:
 def written_out_loss(
     one: Explorer, seen: Tensor, acted: list[Acted], rewards: np.ndarray, plain: bool
 ) -> tuple[Tensor, list[float]]:
-    """The whole loss, and its figures; coefficients are those of the test below."""
+    """The whole loss, and its statistics; coefficients are those of the test below."""
     assert one.policy is not None
     assert one.model is not None
     actions = torch.stack([a.actions for a in acted[:-1]]).flatten()
@@ -96,7 +96,7 @@ def written_out_loss(
 
 @pytest.mark.parametrize("plain", [False, True])
 def test_one_gradient_step_is_that_of_the_loss_written_out(seen: Tensor, acted: list[Acted], plain: bool) -> None:
-    """`plain`: no shared encoder, advantages not scaled, the value's change not clipped."""
+    """`plain`: no shared encoder, no scaled advantages, no clipped change of the value."""
     ppo = PPOConfig(
         learning_rate=1e-2, gamma=0.9, gae_lambda=0.7, minibatch_size=T * N, update_epochs=1, shift_pad=0,
         precision="fp32", ent_coef=0.6, vf_coef=0.4, max_grad_norm=1e-3, norm_adv=not plain, clip_vloss=not plain,
@@ -120,11 +120,11 @@ def test_one_gradient_step_is_that_of_the_loss_written_out(seen: Tensor, acted: 
     for found, expected in zip(learned_parameters(one), parameters, strict=True):
         torch.testing.assert_close(found, expected, rtol=0, atol=2e-5)
     steps = [float((p - q).detach().abs().max()) for p, q in zip(parameters, before, strict=True)]
-    assert np.median(steps) > 1e-3  # far over what was tolerated
+    assert np.median(steps) > 1e-3  # far above the tolerance
 
 
 def test_key_of_curl_follows_the_query_at_every_third_gradient_step(seen: Tensor, acted: list[Acted]) -> None:
-    """Four minibatches an epoch, two epochs: it moves after the third and the sixth of eight steps."""
+    """Two epochs of four minibatches: it moves after the third and the sixth of eight steps."""
     one = explorer(PPOConfig(minibatch_size=4, update_epochs=2, shift_pad=2, precision="fp32"), "curl")
     assert isinstance(one.model, Curl)
     assert one.optimizer is not None
@@ -155,10 +155,10 @@ def test_target_kl_stops_the_update(seen: Tensor) -> None:
         return int(one.optimizer.state_dict()["state"][0]["step"])
 
     assert epochs_until(None) == 4
-    assert epochs_until(1e-4) == 2  # in the first epoch the policy is the one that played
+    assert epochs_until(1e-4) == 2  # in the first epoch, the policy is the one that acted
 
 
-def test_what_is_no_longer_finite_is_an_error(seen: Tensor, acted: list[Acted]) -> None:
+def test_numbers_that_are_no_longer_finite_are_an_error(seen: Tensor, acted: list[Acted]) -> None:
     one = explorer(PPOConfig(precision="fp32"))
     assert one.policy is not None
     assert one.model is not None

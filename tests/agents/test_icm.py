@@ -12,7 +12,7 @@ from gym_open.agents.encoder import Encoder
 from gym_open.agents.icm import Icm
 from gym_open.agents.world_model import TransitionBatch
 
-Pictures = Callable[..., torch.Tensor]
+MakeImages = Callable[..., torch.Tensor]
 ACTIONS = torch.tensor([0, 3, 8, 8, 1])
 
 
@@ -22,8 +22,8 @@ def icm(**settings: float) -> Icm:
     return Icm(encoder, IcmConfig(hidden=16, **settings), 9, generator)  # type: ignore[arg-type]
 
 
-def steps(pictures: Pictures) -> TransitionBatch:
-    return TransitionBatch(pictures(5, 0), ACTIONS, pictures(5, 1))
+def steps(make_images: MakeImages) -> TransitionBatch:
+    return TransitionBatch(make_images(5, 0), ACTIONS, make_images(5, 1))
 
 
 def dense(network: torch.nn.Module, x: np.ndarray) -> np.ndarray:
@@ -33,7 +33,7 @@ def dense(network: torch.nn.Module, x: np.ndarray) -> np.ndarray:
 
 
 def plain_errors(model: Icm, play: TransitionBatch) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """½ mean_d (φ̂′ − φ′)², −log p(a) and whether a is the likeliest, from features and weights alone."""
+    """½ mean_d (φ̂′ − φ′)², −log p(a) and whether a is the most likely action, from features and weights alone."""
 
     def phi(images: torch.Tensor) -> np.ndarray:
         x = model.encoder(model.encoder.prepare(images)).detach().numpy().astype(np.float64)
@@ -47,8 +47,8 @@ def plain_errors(model: Icm, play: TransitionBatch) -> tuple[np.ndarray, np.ndar
     return 0.5 * ((predicted - after) ** 2).mean(1), -np.log(p[np.arange(5), actions]), p.argmax(1) == actions
 
 
-def test_the_loss_is_the_papers_mixture_of_both_errors(pictures: Pictures) -> None:
-    model, play = icm(beta=0.3), steps(pictures)
+def test_the_loss_is_the_papers_mixture_of_both_errors(make_images: MakeImages) -> None:
+    model, play = icm(beta=0.3), steps(make_images)
     forward, inverse, named = plain_errors(model, play)
     expected = 0.7 * inverse.mean() + 0.3 * forward.mean()
     nothing = torch.Generator()
@@ -61,13 +61,13 @@ def test_the_loss_is_the_papers_mixture_of_both_errors(pictures: Pictures) -> No
     assert figures == pytest.approx(means, rel=1e-4)
 
 
-def test_the_reward_is_the_forward_error_weighted_and_clipped(pictures: Pictures) -> None:
-    play = steps(pictures)
+def test_the_reward_is_the_forward_error_weighted_and_clipped(make_images: MakeImages) -> None:
+    play = steps(make_images)
     model = icm(eta=0.01)
     forward, inverse, _ = plain_errors(model, play)
     assert model.error_parts == ("forward",)
     np.testing.assert_allclose(model.errors(play)["forward"].numpy(), 0.01 * forward, rtol=1e-3)
-    eta = 1 / float(np.median(forward))  # some errors are over 1 then
+    eta = 1 / float(np.median(forward))  # then some errors exceed 1
     both = icm(eta=eta, eta_inverse=0.1)
     assert both.error_parts == ("forward", "inverse")
     found = both.errors(play)
@@ -76,9 +76,9 @@ def test_the_reward_is_the_forward_error_weighted_and_clipped(pictures: Pictures
     assert (found["forward"] == 1).any()
 
 
-def test_both_pictures_of_a_step_are_shifted_alike(pictures: Pictures) -> None:
-    """Shifting the mean-coloured pictures themselves beforehand is the same as asking for the shift."""
-    model, play = icm(), steps(pictures)
+def test_both_images_of_a_step_are_shifted_alike(make_images: MakeImages) -> None:
+    """Shifting the images beforehand, with the mean colour at the edge, gives the same as asking for the shift."""
+    model, play = icm(), steps(make_images)
     model.encoder.set_mean_image(torch.full((1, 84, 84, 3), 90, dtype=torch.uint8))
     rolled = TransitionBatch(play.obs.roll((5, -4), (1, 2)), play.actions, play.next_obs.roll((5, -4), (1, 2)))
     given = torch.tensor([[5, -4]]).expand(5, 2)
@@ -88,19 +88,21 @@ def test_both_pictures_of_a_step_are_shifted_alike(pictures: Pictures) -> None:
     assert abs(model.loss(play, no_shifts(5), nothing).item() - expected) > 1e-4
 
 
-def test_the_latent_has_one_scale_whatever_the_features_have(pictures: Pictures) -> None:
+def test_the_latent_has_one_scale_whatever_the_features_have(make_images: MakeImages) -> None:
     model = icm()
-    before = model.latent(pictures(3)).numpy()
+    before = model.latent(make_images(3)).numpy()
     np.testing.assert_allclose(before.mean(1), 0, atol=1e-5)
     np.testing.assert_allclose(before.std(1), 1, rtol=1e-3)
     with torch.no_grad():
         for parameter in model.encoder.layers[7].parameters():
             parameter.mul_(10)
-    np.testing.assert_allclose(model.latent(pictures(3)).numpy(), before, atol=1e-3)
+    np.testing.assert_allclose(model.latent(make_images(3)).numpy(), before, atol=1e-3)
 
 
-def test_the_forward_error_teaches_the_predictor_alone_and_the_inverse_error_the_features(pictures: Pictures) -> None:
-    forward_only, play = icm(beta=1.0), steps(pictures)
+def test_the_forward_error_trains_the_predictor_and_the_inverse_error_the_features(
+    make_images: MakeImages,
+) -> None:
+    forward_only, play = icm(beta=1.0), steps(make_images)
     forward_only.loss(play, no_shifts(5), torch.Generator()).backward()
     assert all(parameter.grad.any() for parameter in forward_only.predictor.parameters() if parameter.grad is not None)
     assert not any(p.grad is not None and p.grad.any() for p in forward_only.encoder.parameters())

@@ -1,4 +1,4 @@
-"""Each world model learns from real play: on held-out worlds its loss falls, and ICM names the action."""
+"""Each world model learns from real steps: its loss on held-out worlds falls, and ICM identifies the action."""
 
 from collections.abc import Callable
 
@@ -25,7 +25,7 @@ def joined(parts: list[TransitionBatch]) -> TransitionBatch:
 def learned(
     name: WorldModelName, train: TransitionBatch, held_out: TransitionBatch, n_updates: int
 ) -> tuple[WorldModel, float]:
-    """A model after some updates on `train`, and its loss on `held_out` as a share of what that was before."""
+    """A model after some updates on `train`, and its loss on `held_out` as a share of the initial loss."""
     init, draws = torch.Generator().manual_seed(0), torch.Generator().manual_seed(1)
     encoder = Encoder(EncoderConfig(features=128), init)
     encoder.set_mean_image(train.obs)
@@ -51,7 +51,7 @@ def learned(
 
 
 def accuracy(model: WorldModel, play: TransitionBatch) -> float:
-    """How often the inverse model names the action, of the steps in which anything changed."""
+    """Accuracy of the inverse model in steps that changed the image."""
     assert isinstance(model, Icm)
     with torch.no_grad():
         named = model.action_logits(model.latent(play.obs), model.latent(play.next_obs)).argmax(dim=1)
@@ -60,17 +60,17 @@ def accuracy(model: WorldModel, play: TransitionBatch) -> float:
 
 
 def distinct(play: TransitionBatch) -> TransitionBatch:
-    """The first step from each picture: contrasts between equal pictures cannot be learned."""
+    """The first step from each image: contrasts between equal images cannot be learned."""
     first: dict[bytes, int] = {}
-    for i, picture in enumerate(play.obs.numpy()):
-        first.setdefault(picture.tobytes(), i)
+    for i, image in enumerate(play.obs.numpy()):
+        first.setdefault(image.tobytes(), i)
     return TransitionBatch(*(column[list(first.values())] for column in play))
 
 
 def played(
     random_play: RandomPlay, n_worlds: int, n_train: int, n_held_out: int
 ) -> tuple[TransitionBatch, TransitionBatch]:
-    """Random play in some worlds: the first steps in each to learn from, the last ones held out."""
+    """Random steps in some worlds: the first steps in each are for learning, the last ones are held out."""
     plays = [random_play(n_train + n_held_out, seed) for seed in range(n_worlds)]
     train = [TransitionBatch(*(column[:n_train] for column in play)) for play in plays]
     held_out = [TransitionBatch(*(column[n_train:] for column in play)) for play in plays]
@@ -78,7 +78,7 @@ def played(
 
 
 def moved_squares(n: int, seed: int) -> TransitionBatch:
-    """A square somewhere, which each of the nine actions moves its own way (4 leaves it where it is)."""
+    """A square at a random place, which each of the nine actions moves in its own direction (4 does not move it)."""
     rng = np.random.default_rng(seed)
     actions, places = rng.integers(0, 9, n), rng.integers(20, 50, (n, 2))
     obs = np.full((n, 84, 84, 3), 90, np.uint8)
@@ -91,7 +91,7 @@ def moved_squares(n: int, seed: int) -> TransitionBatch:
 
 
 def test_icm_learns_which_action_it_was() -> None:
-    """Its loss alone falls for shuffled actions too: their frequencies can be learned."""
+    """The loss alone is no proof: it also falls for shuffled actions, whose frequencies can be learned."""
     held_out = moved_squares(200, 1)
     model, left = learned("icm", moved_squares(512, 0), held_out, 20)
     assert left < 0.5
@@ -114,8 +114,8 @@ def test_world_models_learn_worlds(name: WorldModelName, share: float, random_pl
         assert accuracy(model, held_out) > 0.4  # chance is 1/9
 
 
-def test_random_play_is_what_it_says(random_play: RandomPlay) -> None:
-    """The fixture itself: consecutive, repeatable, and not standing still."""
+def test_the_fixture_of_random_steps(random_play: RandomPlay) -> None:
+    """Its steps are consecutive, repeatable, and change the image."""
     one, again = random_play(30, 3), random_play(30, 3)
     assert all(torch.equal(a, b) for a, b in zip(one, again, strict=True))
     assert torch.equal(one.obs[1:], one.next_obs[:-1])

@@ -1,4 +1,4 @@
-"""PPO against plain NumPy, and on a problem that it must solve."""
+"""PPO compared with plain NumPy, and on a problem that it must solve."""
 
 import math
 from dataclasses import replace
@@ -30,7 +30,7 @@ def random_rollout(seed: int, shape: tuple[int, ...] = (1,)) -> Rollout:
 
 
 def advantage_by_sum(rollout: Rollout, gamma: float, lam: float, t: int, n: int) -> float:
-    """Straight from the definition: a sum over the episode's later steps of (γλ)^k δ."""
+    """By definition: the sum of (γλ)^k δ over the later steps of the episode."""
     total = 0.0
     for k in range(T - t):
         reward, value = rollout.rewards[t + k, n].item(), rollout.values[t + k, n].item()
@@ -57,7 +57,7 @@ def test_only_a_truncated_step_bootstraps(ended: str, expected: float) -> None:
 
 
 def test_gae_of_a_constant_reward_in_closed_form() -> None:
-    """With value 0, λ = 1 and no end before T, the advantage is the discounted sum of what is left."""
+    """With value 0, λ = 1 and no end before T, the advantage is the discounted sum of the remaining rewards."""
     rollout = Rollout.empty(T, 1, (1,), torch.uint8)
     rollout.rewards[:] = 1.0
     expected = [(1 - 0.9 ** (T - t)) / (1 - 0.9) for t in range(T)]
@@ -136,7 +136,7 @@ def test_sampling_needs_a_generator() -> None:
 
 
 def squares(which: torch.Tensor) -> torch.Tensor:
-    """Pictures with a bright square in one of four corners."""
+    """Images with a bright square in one of four corners."""
     images = torch.zeros(*which.shape, 84, 84, 3, dtype=torch.uint8)
     for index in np.ndindex(*which.shape):
         row, column = divmod(int(which[index]), 2)

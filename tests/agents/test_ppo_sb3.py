@@ -1,4 +1,4 @@
-"""PPO against Stable-Baselines3's, on the same numbers.
+"""PPO compared with Stable-Baselines3's, on the same numbers.
 
 Where SB3 differs by design, settings that make the two equal are compared:
 
@@ -57,7 +57,7 @@ class Features(BaseFeaturesExtractor):
 
 
 class StateEnv(gymnasium.ObservationWrapper[Any, Any, Any]):
-    """`OpenEnv`, but one is told the state; its first reset takes the given seed."""
+    """`OpenEnv` with the simulator state as observation. Its first reset has the given seed."""
 
     def __init__(self, seed: int) -> None:
         super().__init__(OpenEnv("goal-seeking"))
@@ -68,14 +68,14 @@ class StateEnv(gymnasium.ObservationWrapper[Any, Any, Any]):
         given, self.first = self.first, None
         return super().reset(seed=given, options=options)
 
-    def observation(self, observation: Any) -> np.ndarray:  # noqa: ARG002  (the picture)
+    def observation(self, observation: Any) -> np.ndarray:  # noqa: ARG002  (the image)
         env = self.unwrapped
         assert isinstance(env, OpenEnv)
         return state_vector(env.world)
 
 
 def sb3_ppo(agent: ActorCritic, config: PPOConfig, n_steps: int, seeds: list[int], **also: Any) -> PPO:
-    """SB3's PPO with the weights of `agent` and the settings of `config`, an environment a seed."""
+    """SB3's PPO with the weights of `agent` and the settings of `config`, and one environment per seed."""
     model = PPO(
         "MlpPolicy", DummyVecEnv([lambda s=s: StateEnv(s) for s in seeds]), learning_rate=config.learning_rate,
         n_steps=n_steps, batch_size=config.minibatch_size, n_epochs=config.update_epochs, gamma=config.gamma,
@@ -90,7 +90,7 @@ def sb3_ppo(agent: ActorCritic, config: PPOConfig, n_steps: int, seeds: list[int
 
 
 def modules(model: PPO, agent: ActorCritic) -> list[tuple[torch.nn.Module, torch.nn.Module]]:
-    """SB3's modules beside ours."""
+    """Pairs of SB3's modules and ours."""
     theirs = model.policy
     assert isinstance(theirs.features_extractor, Features)
     return [
@@ -107,7 +107,7 @@ def assert_same_weights(model: PPO, agent: ActorCritic) -> None:
 
 
 def made_up(seed: int, n_steps: int, n_envs: int, ends: float = 0.2) -> Rollout:
-    """Numbers such as a rollout might hold: within an episode, what an action led to is what is seen next."""
+    """Random numbers for a rollout. Within an episode, the result of an action is the next observation."""
     rng = np.random.default_rng(seed)
 
     def normal(*shape: int) -> torch.Tensor:
@@ -126,7 +126,7 @@ def made_up(seed: int, n_steps: int, n_envs: int, ends: float = 0.2) -> Rollout:
 
 
 def fill(buffer: RolloutBuffer, rollout: Rollout) -> None:
-    """Let SB3's buffer hold `rollout`, as its `collect_rollouts` would have."""
+    """Fill SB3's buffer with `rollout`, as its `collect_rollouts` would."""
     ended = rollout.terminations | rollout.truncations
     rewards = rollout.rewards + buffer.gamma * rollout.next_values * rollout.truncations
     begins = torch.cat([torch.ones_like(ended[:1]), ended[:-1]])
@@ -185,7 +185,7 @@ def test_gradient_step(also: dict[str, Any]) -> None:
 
 
 def test_clipped_values_are_the_worse_of_both() -> None:
-    """SB3's error is that of the clipped values; ours is never smaller than it, nor than that without clipping."""
+    """SB3's error is that of the clipped values. Ours is the larger one of the clipped and the unclipped error."""
 
     def value_losses(*, clipped: bool) -> tuple[float, float]:
         config, net, rollout = msgspec.structs.replace(CONFIG, clip_vloss=clipped), agent(), made_up(0, 40, 3)
@@ -200,7 +200,7 @@ def test_clipped_values_are_the_worse_of_both() -> None:
 
 
 def test_a_whole_run_of_train_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """SB3, given our first weights, our actions and our shuffles, sees, pays and learns the same on `OpenEnv`."""
+    """With our initial weights, actions and shuffles, SB3 has the same observations, rewards and updates."""
     ppo = msgspec.structs.replace(CONFIG, minibatch_size=100, update_epochs=3, learning_rate=5e-4)
     config = PolicyTrainConfig(steps=440, num_envs=4, num_steps=110, encoder=ENCODER, ppo=ppo, threads=1, seed=3)
     kept: list[tuple[ActorCritic, Rollout]] = []
@@ -248,7 +248,7 @@ def test_a_whole_run_of_train_policy(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 def recorded(function: Callable[..., torch.Tensor], results: list[torch.Tensor]) -> Callable[..., torch.Tensor]:
-    """`function`, but what it returns is kept."""
+    """`function`, which also stores what it returns."""
 
     def wrapped(*args: Any, **kwargs: Any) -> torch.Tensor:
         results.append(function(*args, **kwargs))
@@ -258,6 +258,6 @@ def recorded(function: Callable[..., torch.Tensor], results: list[torch.Tensor])
 
 
 def worlds_first(order: torch.Tensor, rollout: Rollout) -> np.ndarray:
-    """Our places in a flat rollout, time first, as SB3 counts them, world first."""
+    """Indices into our flat rollout (time first) in SB3's order (environment first)."""
     n_steps, n_envs = rollout.rewards.shape
     return (order % n_envs * n_steps + order // n_envs).numpy()

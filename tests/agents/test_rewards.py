@@ -1,4 +1,4 @@
-"""Rewards over a world model whose latent and errors are known."""
+"""Rewards from a world model with known latent and errors."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from gym_open.envs.world import World
 
 
 class Known(WorldModel):
-    """The latent of a picture is its first three numbers; the errors are the action, and what changed in pixel 0."""
+    """The latent of an image is its first three numbers. The errors are the action, and the change of pixel 0."""
 
     error_parts = ("action", "change")
 
@@ -54,7 +54,7 @@ def test_ride_is_the_distance_that_a_step_went_in_each_world(images: Tensor) -> 
     np.testing.assert_allclose(found[..., 0].numpy(), expected, rtol=1e-6)
 
 
-def test_known_features_are_not_made_again(images: Tensor) -> None:
+def test_known_features_are_not_computed_again(images: Tensor) -> None:
     actions, features = torch.zeros(3, 2, dtype=torch.int64), torch.randn(4, 2, 5)
     expected = (features[1:] - features[:-1]).norm(dim=-1)[..., None]
     torch.testing.assert_close(Ride(Known())(images, actions, features), expected)
@@ -68,7 +68,7 @@ def test_no_change_is_no_impact(images: Tensor) -> None:
 
 def test_counted_ride_is_less_where_the_stream_was_before_and_forgets_when_it_leaves(images: Tensor) -> None:
     a, b = images[0], images[1]
-    play = torch.stack([a, b, b, a, b])  # in both worlds: what a step leads to is counted, not where it began
+    play = torch.stack([a, b, b, a, b])  # in both worlds: results of steps are counted, not their starts
     actions = torch.zeros(4, 2, dtype=torch.int64)
     plain = Ride(Known())(play, actions)[..., 0].numpy()
     ride = CountedRide(Known(), 2)
@@ -82,15 +82,15 @@ def test_counted_ride_is_less_where_the_stream_was_before_and_forgets_when_it_le
         np.testing.assert_allclose(again, plain / np.sqrt([[4, 1], [5, 2], [2, 1], [6, 3]]), rtol=1e-6)
 
 
-def test_a_cell_is_the_table_seen_coarsely() -> None:
-    """An agent that goes on by a cell is elsewhere; one that trembles is not."""
+def test_a_cell_is_a_coarse_view_of_the_table() -> None:
+    """An agent that moves by a cell changes it; an agent that trembles does not."""
     world = World()
     world.load(Puzzle(task="sandbox", objects=(Placement("agent", 4, 4),)))
-    pictures = [world.observe()]
+    images = [world.observe()]
     for action in (0, 1, 1, 1, 3, 3, 3):
         world.step(action)
-        pictures.append(world.observe())
-    first, still, *moved = cells(torch.from_numpy(np.stack(pictures)))
+        images.append(world.observe())
+    first, still, *moved = cells(torch.from_numpy(np.stack(images)))
     assert first == still
     assert len({first, *moved}) >= 5
     grey = torch.full((3, 84, 84, 3), 100, dtype=torch.uint8) + torch.tensor([0, 1, 20], dtype=torch.uint8).view(

@@ -11,7 +11,7 @@ from gym_open.agents.encoder import Encoder
 from gym_open.agents.rnd import Rnd
 from gym_open.agents.world_model import TransitionBatch
 
-Pictures = Callable[..., torch.Tensor]
+MakeImages = Callable[..., torch.Tensor]
 
 
 def rnd(clip: float = 5.0) -> Rnd:
@@ -20,19 +20,19 @@ def rnd(clip: float = 5.0) -> Rnd:
     return Rnd(encoder, RndConfig(hidden=16, outputs=24, clip=clip), 9, generator)
 
 
-def steps(pictures: Pictures) -> TransitionBatch:
-    return TransitionBatch(pictures(5, 0), torch.zeros(5, dtype=torch.int64), pictures(5, 1))
+def steps(make_images: MakeImages) -> TransitionBatch:
+    return TransitionBatch(make_images(5, 0), torch.zeros(5, dtype=torch.int64), make_images(5, 1))
 
 
-def test_the_target_sees_pixels_in_running_deviations_clipped(pictures: Pictures) -> None:
-    model, seen = rnd(clip=1.5), pictures(20)
+def test_the_target_sees_pixels_in_running_deviations_clipped(make_images: MakeImages) -> None:
+    model, seen = rnd(clip=1.5), make_images(20)
     for part in seen.split(7):
         model.watch(part)
     plain = seen.numpy().astype(np.float64)
     deviation = np.maximum(plain.std(axis=0), 1)  # a pixel that never changed counts as one grey level
     assert (plain.std(axis=0) == 0).any()
     assert (plain.std(axis=0) > 1).any()
-    new = pictures(4, 7)
+    new = make_images(4, 7)
     expected = np.clip((new.numpy() - plain.mean(axis=0)) / deviation, -1.5, 1.5).transpose(0, 3, 1, 2)
     found = model.normalised(new, no_shifts(4)).numpy()
     np.testing.assert_allclose(found, expected, atol=1e-3)
@@ -43,17 +43,17 @@ def test_the_target_sees_pixels_in_running_deviations_clipped(pictures: Pictures
     assert not shifted[:, :, :, -9:].any()
 
 
-def test_the_statistics_do_not_depend_on_the_order(pictures: Pictures) -> None:
-    one, other, seen = rnd(), rnd(), pictures(30)
+def test_the_statistics_do_not_depend_on_the_order(make_images: MakeImages) -> None:
+    one, other, seen = rnd(), rnd(), make_images(30)
     one.watch(seen)
     for part in seen.flip(0).split(11):
         other.watch(part)
-    new = pictures(2, 3)
+    new = make_images(2, 3)
     assert torch.equal(one.normalised(new, no_shifts(2)), other.normalised(new, no_shifts(2)))
 
 
-def test_loss_and_reward_are_the_mean_square_error_to_the_target(pictures: Pictures) -> None:
-    model, play = rnd(), steps(pictures)
+def test_loss_and_reward_are_the_mean_square_error_to_the_target(make_images: MakeImages) -> None:
+    model, play = rnd(), steps(make_images)
     model.watch(play.obs)
 
     def error(images: torch.Tensor) -> np.ndarray:
@@ -89,16 +89,16 @@ def test_the_target_is_rnds_own_network() -> None:
     ]
 
 
-def test_the_target_never_learns_and_the_encoder_does(pictures: Pictures) -> None:
-    model, play = rnd(), steps(pictures)
+def test_the_target_never_learns_and_the_encoder_does(make_images: MakeImages) -> None:
+    model, play = rnd(), steps(make_images)
     model.loss(play, no_shifts(5), torch.Generator()).backward()
     assert all(not p.requires_grad and p.grad is None for p in model.target.parameters())
     assert all(p.grad is not None and p.grad.any() for p in model.encoder.parameters())
     assert all(p.grad is not None for p in model.predictor.parameters())
 
 
-def test_the_latent_is_the_prediction(pictures: Pictures) -> None:
-    model, images = rnd(), pictures(3)
+def test_the_latent_is_the_prediction(make_images: MakeImages) -> None:
+    model, images = rnd(), make_images(3)
     with torch.no_grad():
         expected = model.predictor(model.encoder(model.encoder.prepare(images)))
     torch.testing.assert_close(model.latent(images), expected, rtol=1e-4, atol=1e-5)

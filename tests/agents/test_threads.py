@@ -1,4 +1,4 @@
-"""Shared out among threads, a network makes the same of its pictures, and learns the same from them."""
+"""A network that is divided among threads computes the same features and gradients."""
 
 import os
 
@@ -17,15 +17,15 @@ def encoder(architecture: Architecture = "cnn") -> Encoder:
     return Encoder(EncoderConfig(architecture=architecture, features=16), torch.Generator().manual_seed(0))
 
 
-def pictures(n: int) -> Tensor:
+def make_images(n: int) -> Tensor:
     return torch.randint(256, (n, 84, 84, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(1))
 
 
 def learned(network: Encoder, n: int, count: int, precision: Precision) -> tuple[Tensor, list[Tensor]]:
-    """Features of n pictures, and gradients of a sum of them, with so many threads."""
+    """Features of n images, and gradients of a sum of them, with `count` threads."""
     set_threads(count)
     with autocast(precision):
-        features = network(network.prepare(pictures(n)))
+        features = network(network.prepare(make_images(n)))
     weights = torch.randn(features.shape, generator=torch.Generator().manual_seed(2))
     parameters = [parameter for parameter in network.parameters() if parameter.requires_grad]
     return features.detach(), list(torch.autograd.grad((features.float() * weights).sum(), parameters))
@@ -54,7 +54,7 @@ def test_they_repeat_to_the_bit(precision: Precision) -> None:
     assert all(torch.equal(one, other) for one, other in zip(found, others, strict=True))
 
 
-def test_what_does_not_learn_has_no_gradient_and_the_rest_has() -> None:
+def test_only_parameters_that_learn_have_gradients() -> None:
     network = encoder()
     network.layers[0].requires_grad_(requires_grad=False)
     expected, slopes = learned(network, 16, 1, "fp32")
@@ -65,22 +65,22 @@ def test_what_does_not_learn_has_no_gradient_and_the_rest_has() -> None:
         torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-4 * float(other.abs().max()))
 
 
-def test_without_gradients_nothing_leads_back() -> None:
+def test_without_gradients_no_graph_is_kept() -> None:
     set_threads(2)
     network = encoder()
     with torch.no_grad():
-        assert not network(network.prepare(pictures(20))).requires_grad
+        assert not network(network.prepare(make_images(20))).requires_grad
     network.requires_grad_(requires_grad=False)
-    assert not network(network.prepare(pictures(20))).requires_grad
+    assert not network(network.prepare(make_images(20))).requires_grad
     with torch.inference_mode():
-        assert network(network.prepare(pictures(20))).is_inference()
+        assert network(network.prepare(make_images(20))).is_inference()
 
 
 def test_bf16_uses_the_weights_of_now() -> None:
-    """PyTorch keeps weights that it has turned into bf16 within one `autocast`; they must not outlive a step."""
+    """PyTorch caches bf16 weights within one `autocast`; they must not outlive a step."""
     set_threads(2)
     network = encoder()
-    prepared = network.prepare(pictures(20))
+    prepared = network.prepare(make_images(20))
     for _ in range(2):
         with autocast("bf16"):
             before = network(prepared.bfloat16())
@@ -92,16 +92,16 @@ def test_bf16_uses_the_weights_of_now() -> None:
         assert not torch.equal(after, before)
 
 
-def test_a_gradient_of_the_pictures_is_pytorchs() -> None:
+def test_a_gradient_of_the_images_is_pytorchs() -> None:
     set_threads(2)
     network = encoder()
-    prepared = network.prepare(pictures(20)).requires_grad_()
+    prepared = network.prepare(make_images(20)).requires_grad_()
     network(prepared).sum().backward()
     assert prepared.grad is not None
     assert prepared.grad.abs().sum() > 0
 
 
-def test_parts_cover_all_pictures_in_order() -> None:
+def test_parts_cover_all_images_in_order() -> None:
     for count in (1, 2, 3, 5):
         set_threads(count)
         for n in (0, 1, 15, 16, 17, 40, 99):
@@ -118,7 +118,7 @@ def test_an_error_in_a_thread_reaches_the_caller() -> None:
         side_by_side([lambda: 1, fail])
 
 
-def test_a_few_pictures_stay_in_one_thread() -> None:
+def test_a_few_images_stay_in_one_thread() -> None:
     set_threads(2)
     network = nn.Linear(3, 2)
     assert through(network, torch.ones(15, 3)).grad_fn is not None

@@ -1,4 +1,4 @@
-"""A tiny run with scripted losses: streams switch often, and come back to worlds that they had left."""
+"""A tiny run with scripted losses: streams switch often, and return to worlds that they left."""
 
 import math
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ from gym_open.collect.pool import Pool
 
 
 def scripted_loss(pool: Pool, world: int, explorer: Any, rollout: int) -> float:
-    """Stands for `Pool.loss`."""
+    """Replacement for `Pool.loss`."""
     return 2.0 + seeding.integer(1, world, rollout) % 1000 / 1000 if pool.transitions(world) else math.inf
 
 
@@ -42,13 +42,13 @@ def scripted() -> Iterator[None]:
 
 
 @pytest.fixture
-def no_picture(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The picture, which is drawn from the summary alone, takes longer than a tiny run."""
+def no_figure(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Do not draw the figure: it depends on the summary alone, and takes longer than a tiny run."""
     monkeypatch.setattr(explore, "draw_summary", lambda *_: b"")
 
 
 class StopBefore(Protocol):
-    """Runs `collect` until so many rollouts are done, then stops as by Ctrl-C."""
+    """Runs `collect` until `rollout` rollouts are done, then stops as with Ctrl-C."""
 
     def __call__(self, config: CollectConfig, out: Path, rollout: int) -> None: ...
 

@@ -1,4 +1,4 @@
-"""Every configuration in collect/ is an explorer that keeps the promises of all; a new one is held to them too."""
+"""Every configuration in collect/ is an explorer that fulfils the common contracts; new ones must fulfil them, too."""
 
 import io
 import json
@@ -36,7 +36,7 @@ def shrunk(name: str, tiny: CollectConfig) -> CollectConfig:
     )  # fmt: skip
 
 
-def test_all_of_the_papers_explorers_are_there_and_play_alike() -> None:
+def test_all_of_the_papers_explorers_exist_and_share_their_settings() -> None:
     configurations = [one for name in NAMES if (one := configuration(name)).explorer.name in PAPER]
     assert {one.explorer.name for one in configurations} == PAPER
     for one in configurations:
@@ -47,9 +47,11 @@ def test_all_of_the_papers_explorers_are_there_and_play_alike() -> None:
 
 
 @pytest.mark.learning
-@pytest.mark.usefixtures("scripted", "no_picture")
+@pytest.mark.usefixtures("scripted", "no_figure")
 @pytest.mark.parametrize("name", NAMES)
-def test_an_explorer_logs_sums_up_and_goes_on(tiny: CollectConfig, tmp_path: Path, stop_before: Any, name: str) -> None:
+def test_an_explorer_logs_summarises_and_resumes(
+    tiny: CollectConfig, tmp_path: Path, stop_before: Any, name: str
+) -> None:
     config = shrunk(name, tiny)
     log = collect(config, tmp_path / "whole").path
     for rollout in (3, 4):

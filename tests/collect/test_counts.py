@@ -1,4 +1,4 @@
-"""Counting what happened in a world."""
+"""Counts of what happened in a world."""
 
 import pytest
 
@@ -12,7 +12,7 @@ def contact(a: str, b: str) -> Contact:
     return Contact(a, b, (0, 0, 0), (1, 0, 0), 1.0)
 
 
-def test_a_place_is_in_the_cell_whose_centre_is_nearest() -> None:
+def test_a_position_is_in_the_cell_with_the_nearest_centre() -> None:
     for row in range(ROWS):
         for column in range(COLUMNS):
             x, y = cell_centre(row, column)
@@ -23,11 +23,11 @@ def test_a_place_is_in_the_cell_whose_centre_is_nearest() -> None:
 @pytest.mark.parametrize(
     ("x", "y", "cell"), [(-WALL_X, WALL_Y, 0), (WALL_X, -WALL_Y, ROWS * COLUMNS - 1), (9, 9, COLUMNS - 1)]
 )
-def test_what_is_beyond_the_grid_is_in_its_nearest_cell(x: float, y: float, cell: int) -> None:
+def test_a_position_beyond_the_grid_is_in_the_nearest_cell(x: float, y: float, cell: int) -> None:
     assert cell_at(x, y) == cell
 
 
-def test_steps_places_and_touches_of_the_agent_are_counted() -> None:
+def test_steps_cells_and_touches_of_the_agent_are_counted() -> None:
     counts = WorldCounts()
     counts.step((*cell_centre(0, 1), 0.05), [contact("agent", "heavy_11"), contact("heavy_11", "agent")])
     counts.step((*cell_centre(0, 1), 0.05), [contact("corner_north_east", "agent"), contact("light_0", "heavy_0")])
@@ -39,7 +39,7 @@ def test_steps_places_and_touches_of_the_agent_are_counted() -> None:
     assert touched == {"heavy": 2, "corner": 1, "ramp": 1, "wall": 1}
 
 
-def test_stuck_things_are_counted_by_beginnings_and_steps() -> None:
+def test_stuck_things_are_counted_by_starts_and_steps() -> None:
     counts = WorldCounts()
     began, ceased = (Stuck(5, 0, "corner", "light_0", began, (0, 0, 0)) for began in (True, False))
     counts.stuck_step([began, began], agent=False, corner=True)

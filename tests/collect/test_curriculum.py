@@ -1,4 +1,4 @@
-"""The paper's rule: leave a learned world for the one of highest loss, stop when none is above; and its rivals."""
+"""The paper's rule: leave a learned world for the one of highest loss, stop when all are learned. And other rules."""
 
 import math
 from collections import Counter
@@ -19,7 +19,7 @@ def decide(
     rule: RuleName, losses: list[float], current: int, taken: set[int], *, threshold: float = 1.0,
     last: list[float] | None = None, number: int = 0, seed: int = 0,
 ) -> Decision:  # fmt: skip
-    """As a run does: a stream that is not due stays."""
+    """Decide as a run does: a stream that need not decide stays."""
     made = RULES[rule](CurriculumConfig(rule=rule, threshold=threshold, interval=100), seed)
     if not made.due(losses[current], 100):
         return Decision("stay", current)
@@ -28,7 +28,7 @@ def decide(
 
 @st.composite
 def situations(draw: st.DrawFn) -> tuple[list[float], int, set[int]]:
-    """Losses, the world a stream is in, those taken by others."""
+    """Losses, the world of the stream, and the worlds of other streams."""
     losses = draw(st.lists(loss, min_size=1, max_size=8))
     current = draw(st.integers(0, len(losses) - 1))
     return losses, current, draw(st.sets(st.integers(0, len(losses) - 1), max_size=3)) - {current}
@@ -65,7 +65,7 @@ def test_a_world_is_left_only_when_it_is_learned(situation: tuple[list[float], i
 
 
 def test_one_stream_visits_all_worlds_in_turn_and_stops() -> None:
-    """A model that learns a world by visiting it once, and forgets nothing: each world is played in exactly once."""
+    """A model that learns a world in one visit, and forgets nothing: each world is visited exactly once."""
     losses = [INF] * 5
     order, world = [], 0
     while world != -1:
@@ -76,7 +76,7 @@ def test_one_stream_visits_all_worlds_in_turn_and_stops() -> None:
 
 
 @given(situations(), st.sampled_from(["interval", "uniform", "progress"]), st.integers(0, 99))
-def test_the_others_leave_for_a_free_world_and_never_stop(
+def test_the_other_rules_enter_a_free_world_and_never_stop(
     situation: tuple[list[float], int, set[int]], rule: RuleName, number: int
 ) -> None:
     losses, current, taken = situation
@@ -88,12 +88,12 @@ def test_the_others_leave_for_a_free_world_and_never_stop(
 
 
 @pytest.mark.parametrize("rule", ["interval", "uniform", "progress"])
-def test_the_others_decide_every_so_many_steps(rule: RuleName) -> None:
+def test_the_other_rules_decide_every_interval(rule: RuleName) -> None:
     made = RULES[rule](CurriculumConfig(rule=rule, interval=100), 0)
     assert [made.due(5.0, steps) for steps in (0, 64, 99, 100, 128)] == [False, False, False, True, True]
 
 
-def test_the_papers_rule_looks_at_no_clock_and_never_at_nothing() -> None:
+def test_the_papers_rule_depends_on_the_loss_alone_and_never_decides_at_all() -> None:
     paper, never = (RULES[rule](CurriculumConfig(rule=rule, threshold=1.0), 0) for rule in ("loss", "never"))
     assert [paper.due(value, 10**9) for value in (INF, 1.0, 0.99)] == [False, False, True]
     assert not never.due(0.0, 10**9)
@@ -107,7 +107,7 @@ def test_interval_goes_through_the_worlds_in_order_and_round() -> None:
     assert order == [1, 3, 0, 1, 3, 0, 1]
 
 
-def test_uniform_is_uniform_over_the_other_free_worlds_and_a_matter_of_seed_and_number() -> None:
+def test_uniform_is_uniform_over_the_other_free_worlds_and_depends_on_seed_and_number() -> None:
     def drawn(seed: int) -> list[int]:
         return [decide("uniform", [NAN] * 6, 1, {4}, number=number, seed=seed).world for number in range(2000)]
 

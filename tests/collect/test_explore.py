@@ -1,4 +1,4 @@
-"""Collecting: reproducible, and true to the worlds that it logs."""
+"""Exploration runs: they are reproducible, and their logs describe their worlds exactly."""
 
 import json
 import math
@@ -29,7 +29,7 @@ pytestmark = [pytest.mark.learning, pytest.mark.usefixtures("scripted")]
 
 
 def changed(config: CollectConfig, **values: Any) -> CollectConfig:
-    """`config` with other values; those of a part as a dictionary."""
+    """`config` with other values; a section is given as a dictionary."""
     parts = {
         name: msgspec.structs.replace(getattr(config, name), **value) if isinstance(value, dict) else value
         for name, value in values.items()
@@ -93,7 +93,7 @@ def test_segments_follow_on_one_another(logs: list[Log]) -> None:
 
 
 def test_every_switch_obeys_the_rule(logs: list[Log]) -> None:
-    """From the log alone: the left world was under the threshold, the chosen one was not, and no free one above it."""
+    """From the log alone: the left world was below the threshold, and the entered one had the highest free loss."""
     switches = [(log.stream, switch) for log in logs for switch in log.switches if switch.reason == "learned"]
     assert len(switches) >= 4
     stays = {log.stream: [(s.step, s.to_world) for s in log.switches] for log in logs}
@@ -118,7 +118,7 @@ def test_no_two_streams_are_in_one_world(logs: list[Log]) -> None:
     assert (worlds[0] != worlds[1]).all()
 
 
-def test_a_world_that_is_entered_again_goes_on_from_where_it_was_left(segments: list[Segment]) -> None:
+def test_a_world_that_is_entered_again_continues_from_its_last_state(segments: list[Segment]) -> None:
     left: dict[int, tuple[np.ndarray, np.ndarray]] = {}
     again = 0
     by_time = sorted(segments, key=lambda s: (s.first_step, s.first_step + len(s.actions)))
@@ -134,7 +134,7 @@ def test_a_world_that_is_entered_again_goes_on_from_where_it_was_left(segments: 
 
 
 def test_a_log_alone_suffices_to_replay_it_from_any_keyframe(segments: list[Segment]) -> None:
-    """Every segment simulated anew from each of its keyframes: states, contacts and pixels are the same."""
+    """Every segment is simulated again from each of its keyframes: states, contacts and pixels are the same."""
     world = World()
     assert sum(len(segment.keyframes) > 1 for segment in segments) >= 3
     for segment in segments:
@@ -187,7 +187,7 @@ def test_losses_in_the_summary_are_those_of_the_switches(made: Path, logs: list[
 
 
 def test_coverage_and_touches_in_the_summary_are_those_of_the_logs(made: Path, segments: list[Segment]) -> None:
-    """Counted anew from the logged states and contacts."""
+    """Counted again from the logged states and contacts."""
     found = summary(made)
     edges_x = CELL_0[0] + PITCH * (np.arange(COLUMNS + 1) - 0.5)
     edges_y = CELL_0[1] + PITCH * (0.5 - np.arange(ROWS + 1))
@@ -207,7 +207,7 @@ def test_coverage_and_touches_in_the_summary_are_those_of_the_logs(made: Path, s
     assert sum(found["touches"].values()) == len(touched) > 20
 
 
-def test_the_encoder_of_the_end_is_there(made: Path) -> None:
+def test_the_log_holds_the_final_encoder(made: Path) -> None:
     encoder = load_encoder(made / "encoder")
     assert encoder.config.features == 32
     assert float(encoder.mean_image.abs().sum()) > 0
@@ -217,18 +217,18 @@ def test_the_same_again_is_the_same_bytes(tiny: CollectConfig, made: Path, tmp_p
     assert artefacts.digest(collect(tiny, tmp_path / "elsewhere" / "again").path) == artefacts.digest(made)
 
 
-@pytest.mark.usefixtures("no_picture")
+@pytest.mark.usefixtures("no_figure")
 def test_another_seed_is_another_log(tiny: CollectConfig, made: Path, tmp_path: Path) -> None:
     other = collect(changed(tiny, seed=4, steps=64), tmp_path / "log").path
     assert set(artefacts.lineage(other).facts["puzzles"]).isdisjoint(artefacts.lineage(made).facts["puzzles"])
 
 
-@pytest.mark.usefixtures("no_picture")
+@pytest.mark.usefixtures("no_figure")
 @pytest.mark.parametrize(("streams", "window"), [(1, 1), (2, 1), (2, 3)])
-def test_an_endless_threshold_ends_it_when_all_is_learned(
+def test_an_infinite_threshold_ends_the_run_when_all_is_learned(
     tiny: CollectConfig, tmp_path: Path, streams: int, window: int
 ) -> None:
-    """Everything counts as learned, so every world is looked at for a window of rollouts; then none is left."""
+    """Every world counts as learned after a window of rollouts; then none is left."""
     config = changed(tiny, streams=streams, curriculum={"threshold": 1e6, "window": window})
     log = collect(config, tmp_path / "log").path
     found = summary(log)
@@ -240,8 +240,8 @@ def test_an_endless_threshold_ends_it_when_all_is_learned(
         assert {switch.reason for switch in one.switches} == {"start", "learned", "exhausted"}
 
 
-@pytest.mark.usefixtures("no_picture")
-def test_random_play_that_sees_depth_and_geoms(tiny: CollectConfig, tmp_path: Path) -> None:
+@pytest.mark.usefixtures("no_figure")
+def test_random_exploration_that_logs_depth_and_segmentation(tiny: CollectConfig, tmp_path: Path) -> None:
     config = changed(
         tiny, steps=80, explorer={"reward": "none", "world_model": "none"},
         curriculum={"rule": "interval", "interval": 20}, log={"depth": True, "segmentation": True},
@@ -267,11 +267,11 @@ def test_random_play_that_sees_depth_and_geoms(tiny: CollectConfig, tmp_path: Pa
                 world.step(int(segment.actions[t]))
 
 
-@pytest.mark.usefixtures("no_picture")
-def test_who_gets_stuck_is_logged_and_counted(
+@pytest.mark.usefixtures("no_figure")
+def test_stuck_agents_and_objects_are_logged_and_counted(
     tiny: CollectConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With looser limits, as the real ones are rare: two pushes within 20 cm, one push in a corner."""
+    """With looser limits, because real cases are rare: two pushes within 20 cm, one push in a corner."""
     for name, value in (("AGENT_PUSHES", 2), ("REACH_M", 0.2), ("CORNER_PUSHES", 1)):
         monkeypatch.setattr(stuck, name, value)
     log = collect(changed(tiny, steps=160), tmp_path / "log").path
@@ -308,7 +308,9 @@ def test_who_gets_stuck_is_logged_and_counted(
         ),
     ],
 )
-def test_what_cannot_be_is_refused(tiny: CollectConfig, tmp_path: Path, changes: dict[str, Any], words: str) -> None:
+def test_impossible_configurations_are_refused(
+    tiny: CollectConfig, tmp_path: Path, changes: dict[str, Any], words: str
+) -> None:
     with pytest.raises(ConfigError) as error:
         collect(changed(tiny, **changes), tmp_path / "log")
     assert str(error.value) == words

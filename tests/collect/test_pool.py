@@ -1,4 +1,4 @@
-"""The pool of worlds, and what is kept of each to measure its loss on."""
+"""The pool of worlds, and the transitions on which their losses are measured."""
 
 import math
 
@@ -18,7 +18,7 @@ def pool(size: int, probe: int) -> Pool:
     return Pool(sample_pool(size, SandboxConfig(), seed=1), probe, seed=0)
 
 
-def pictures(*values: int) -> np.ndarray:
+def images(*values: int) -> np.ndarray:
     return np.stack([np.full((84, 84, 3), value, np.uint8) for value in values])
 
 
@@ -30,7 +30,7 @@ def test_the_worlds_are_different_and_none_is_a_test_puzzle() -> None:
     assert sample_pool(30, SandboxConfig(), seed=1) == puzzles
 
 
-def test_the_loss_of_a_world_is_the_world_models_on_what_was_seen_of_it(tiny: CollectConfig) -> None:
+def test_the_loss_of_a_world_is_the_world_models_loss_on_its_transitions(tiny: CollectConfig) -> None:
     own, explorer = pool(2, probe=8), Explorer(tiny.explorer, n_actions=9, n_streams=1, seed=0)
     rng = np.random.default_rng(0)
     seen = rng.integers(0, 256, (9, 84, 84, 3), dtype=np.uint8)
@@ -43,10 +43,10 @@ def test_the_loss_of_a_world_is_the_world_models_on_what_was_seen_of_it(tiny: Co
     assert own.loss(1, explorer, 1) == math.inf
 
 
-def test_the_latest_transitions_of_distinct_observations_are_kept_and_come_back_whole() -> None:
+def test_the_latest_transitions_of_distinct_observations_are_kept_and_restored() -> None:
     own = pool(2, probe=3)
-    own.see(1, pictures(1, 2, 3, 4), np.array([1, 2, 3, 4]), pictures(2, 3, 4, 2))
-    own.see(1, pictures(2), np.array([5]), pictures(9))
+    own.see(1, images(1, 2, 3, 4), np.array([1, 2, 3, 4]), images(2, 3, 4, 2))
+    own.see(1, images(2), np.array([5]), images(9))
     own.left[0] = np.arange(4.0)
     back = pool(2, probe=3)
     back.load_tensors(own.tensors())

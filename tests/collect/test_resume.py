@@ -1,4 +1,4 @@
-"""A run killed at any moment and given again ends with the bytes of one never killed, and loses no step."""
+"""A run that is killed and started again ends with the bytes of an undisturbed run, and loses no step."""
 
 import inspect
 import json
@@ -39,7 +39,7 @@ from gym_open.formats.logs.container import whole_chunks
 KILLED = """
 log, chunks, real = Path(sys.argv[3]), int(sys.argv[4]), Exploration.rollout
 def rollout(self, length):
-    if self.record.rollouts == chunks + 2:  # the log's own thread writes the chunks, which are one a rollout or more
+    if self.record.rollouts == chunks + 2:  # the log's own thread writes the chunks, at least one per rollout
         while len(list(whole_chunks(log))) < chunks:
             time.sleep(0.01)
         os.kill(os.getpid(), signal.SIGKILL)
@@ -50,7 +50,7 @@ COLLECT = "collect(msgspec.json.decode(sys.argv[1], type=CollectConfig), Path(sy
 
 
 def script(and_so: str = "") -> str:
-    """Python code of a run whose losses are scripted as they are here."""
+    """Python code of a run with the same scripted losses as here."""
     return f"{SCRIPT}{inspect.getsource(Pool.loss)}\nPool.loss = scripted_loss\n{and_so}{COLLECT}"
 
 
@@ -59,7 +59,7 @@ def words(config: CollectConfig, out: Path) -> tuple[str, str]:
 
 
 def kill_after(config: CollectConfig, out: Path, chunks: int) -> None:
-    """Start a run that kills itself with -9 once its first log holds so many whole chunks."""
+    """Start a run that kills itself with SIGKILL when its first log holds `chunks` whole chunks."""
     log = out.parent / f".{out.name}.partial" / "stream-000-000.mcap"
     done = python(script(KILLED), *words(config, out), log, str(chunks))
     assert done.returncode == -signal.SIGKILL, done.stderr
@@ -87,7 +87,7 @@ def test_killed_and_stopped_it_ends_with_the_same_bytes_and_loses_no_step(
         assert [final[: len(chunks)] for chunks in kept] == kept
 
 
-@pytest.mark.usefixtures("no_picture")
+@pytest.mark.usefixtures("no_figure")
 @pytest.mark.parametrize("rule", ["uniform", "progress"])
 def test_stopped_anywhere_a_rule_decides_the_same(
     tiny: CollectConfig, tmp_path: Path, stop_before: Any, rule: RuleName
@@ -105,8 +105,8 @@ def test_stopped_anywhere_a_rule_decides_the_same(
     assert rule in json.loads((whole / "summary.json").read_text())["reasons"]
 
 
-@pytest.mark.usefixtures("no_picture")
-def test_logs_in_several_files_go_on_too(
+@pytest.mark.usefixtures("no_figure")
+def test_logs_in_several_files_resume_too(
     tiny: CollectConfig, tmp_path: Path, stop_before: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(explore, "MIB", 2**15)
@@ -122,13 +122,13 @@ def test_logs_in_several_files_go_on_too(
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_killed_again_and_again_at_any_moment(tiny: CollectConfig, tmp_path: Path, seed: int) -> None:
-    """Killed with -9 at times that nobody chose, each a little later, until it gets through."""
+    """Killed with SIGKILL at arbitrary times, each a little later, until the run ends."""
     config = msgspec.structs.replace(tiny, steps=800)
     whole = collect(config, tmp_path / "whole").path
     rng, kills = np.random.default_rng(seed), 0
     while not (tmp_path / "log").exists():
         command = [sys.executable, "-c", script(), *words(config, tmp_path / "log")]
-        with started(command, stderr=subprocess.DEVNULL) as process:  # and killed when this is left
+        with started(command, stderr=subprocess.DEVNULL) as process:  # and killed when this context ends
             try:
                 assert process.wait(3 + kills / 2 + 2 * rng.random()) == 0
             except subprocess.TimeoutExpired:
@@ -144,11 +144,11 @@ def stopped(tiny: CollectConfig, tmp_path: Path, stop_before: Any) -> Path:
     return tmp_path / "log"
 
 
-@pytest.mark.usefixtures("no_picture")
+@pytest.mark.usefixtures("no_figure")
 def test_a_resumed_run_that_diverges_is_refused_and_keeps_the_old_log(
     tiny: CollectConfig, stopped: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As on another machine, whose arithmetic differs: the policy acts otherwise from the checkpoint on."""
+    """As on a machine with other arithmetic: the policy acts differently from the checkpoint on."""
     old = (stopped.parent / ".log.partial" / "stream-000-000.mcap").read_bytes()
     real = Explorer.act
     monkeypatch.setattr(Explorer, "act", lambda self, images: real(self, torch.zeros_like(images)))

@@ -1,4 +1,4 @@
-"""The summary of a run, from hand-made counts: its JSON, its tables, its picture."""
+"""The summary of a run, from hand-made counts: its JSON, its tables, its figure."""
 
 import io
 import json
@@ -24,13 +24,13 @@ RANDOM = CollectConfig(
 )
 
 
-def summed_up(config: CollectConfig, losses: list[float], stays: int = 1) -> dict[str, Any]:
-    """Stream 0 goes from world 0 to 1, stream 1 stays in 2; world 3 is never visited; `stays` more in world 0."""
+def summed_up(config: CollectConfig, losses: list[float], more: int = 0) -> dict[str, Any]:
+    """Stream 0 goes from world 0 to 1, stream 1 stays in 2; 3 is not visited; `more` segments follow in 0."""
     segments = [
         SegmentRecord(0, 0, 0, 30, math.inf, losses[0], "learned"),
         SegmentRecord(0, 1, 1, 20, math.inf, losses[1], "budget"),
         SegmentRecord(1, 0, 2, 50, math.inf, losses[2], "budget"),
-        *(SegmentRecord(0, 2 + i, 0, 1, losses[0], losses[0] / 2, "learned") for i in range(stays - 1)),
+        *(SegmentRecord(0, 2 + i, 0, 1, losses[0], losses[0] / 2, "learned") for i in range(more)),
     ]
     curve = [(50, 2 * losses[0], losses[0], 0.1, 2.0), (100, losses[0], losses[2], 0.1, 2.0)]
     record = RunRecord(2, 100, 1, [], segments, curve, losses, "budget")
@@ -47,7 +47,7 @@ def summed_up(config: CollectConfig, losses: list[float], stays: int = 1) -> dic
     return summarise(config, record, sample_pool(4, SandboxConfig(), seed=0), counts)
 
 
-def test_counts_are_added_up_and_what_is_no_number_is_null() -> None:
+def test_counts_are_added_up_and_nan_becomes_null() -> None:
     found = summed_up(CollectConfig(), [0.5, 0.25, 0.125, math.inf])
     assert (found["explorer"], found["rule"], found["steps"], found["switches"]) == ("curl+ride", "loss", 100, 1)
     assert found["reasons"] == {"budget": 2, "learned": 1}
@@ -73,7 +73,7 @@ def shown(folder: Path, summary: dict[str, Any]) -> str:
 
 def test_the_tables_tell_fresh_worlds_from_losses_that_are_none(tmp_path: Path) -> None:
     text = shown(tmp_path, summed_up(CollectConfig(), [0.5, 0.25, 0.125, math.inf]))
-    assert text.count("fresh") == 4  # three stays that began so, and the world never visited
+    assert text.count("fresh") == 4  # three segments that began so, and the world never visited
     assert "heavy 7, wall 5" in text
     assert "2 times, 40 steps" in text
     text = shown(tmp_path, summed_up(RANDOM, [math.nan] * 4))
@@ -81,8 +81,8 @@ def test_the_tables_tell_fresh_worlds_from_losses_that_are_none(tmp_path: Path) 
     assert "random" in text
 
 
-def test_of_a_long_run_the_last_stays_are_listed(tmp_path: Path) -> None:
-    text = shown(tmp_path, summed_up(CollectConfig(), [0.5, 0.25, 0.125, 1.0], stays=98))
+def test_the_last_segments_of_a_long_run_are_listed(tmp_path: Path) -> None:
+    text = shown(tmp_path, summed_up(CollectConfig(), [0.5, 0.25, 0.125, 1.0], more=97))
     assert f"the last {MOST_SEGMENTS} of 100 segments" in text
     assert text.count("learned") == MOST_SEGMENTS + 1  # and once in the sum of all reasons
 
@@ -92,14 +92,14 @@ def test_a_log_without_a_summary_is_refused(tmp_path: Path) -> None:
         summary_table(tmp_path)
 
 
-def test_the_picture_shows_a_run_with_losses_and_one_without() -> None:
+def test_the_figure_shows_a_run_with_losses_and_one_without() -> None:
     """That equal summaries give equal bytes is part of a whole run's being made twice."""
-    pictures = [
+    images = [
         draw_summary(summed_up(config, losses), config.curriculum)
         for config, losses in ((CollectConfig(), [0.5, 0.25, 0.125, math.inf]), (RANDOM, [math.nan] * 4))
     ]
-    for data in pictures:
-        with Image.open(io.BytesIO(data)) as picture:
-            assert picture.size == (1500, 900)
-            assert picture.info.keys() <= {"dpi"}
-    assert pictures[0] != pictures[1]
+    for data in images:
+        with Image.open(io.BytesIO(data)) as figure:
+            assert figure.size == (1500, 900)
+            assert figure.info.keys() <= {"dpi"}
+    assert images[0] != images[1]

@@ -1,4 +1,4 @@
-"""What a run says before it starts: what is left to do, what the machine is, what the disk holds."""
+"""What a run prints before it starts: remaining stages, this machine, and free disk space."""
 
 import os
 from pathlib import Path
@@ -24,10 +24,10 @@ def make(stage: PlannedStage) -> None:
     artefacts.build(stage.folder, kind="toy", config=stage.config, parents=(), work=lambda _: {})
 
 
-def test_what_is_left_is_what_is_not_there_of_another_configuration_or_of_something_that_is_left(
+def test_a_stage_is_left_if_it_is_missing_or_has_another_configuration_or_needs_one_that_is_left(
     tmp_path: Path,
 ) -> None:
-    """The configuration of exploration holds tuples, which are lists on disk."""
+    """The configuration of exploration has tuples, which are lists on disk."""
     first, alone = toy(tmp_path, "first", CollectConfig()), toy(tmp_path, "alone", Config())
     second = toy(tmp_path, "second", PolicyTrainConfig(), first)
     third = toy(tmp_path, "third", Config(), second)
@@ -43,7 +43,7 @@ def test_what_is_left_is_what_is_not_there_of_another_configuration_or_of_someth
     assert outlook.to_do(stages) == [first, second, third]
 
 
-def test_code_that_has_changed_leaves_all_to_do(tmp_path: Path) -> None:
+def test_after_a_change_of_code_all_stages_are_left(tmp_path: Path) -> None:
     stage = toy(tmp_path, "first", Config())
     make(stage)
     path = stage.folder / artefacts.LINEAGE
@@ -73,7 +73,7 @@ def test_the_machine_is_described_as_far_as_it_matters(
     ]  # fmt: skip
 
 
-def test_a_disk_that_is_too_small_is_told(tmp_path: Path) -> None:
+def test_a_full_disk_is_a_warning(tmp_path: Path) -> None:
     assert outlook.too_full(tmp_path, 0) == ""
     assert outlook.too_full(tmp_path, 10**18).endswith("this run writes about 1000000000 GB: make room")
 

@@ -1,4 +1,4 @@
-"""What this machine does in a second is tried for a moment, and nothing is changed by it."""
+"""Short measurements of this machine, which change no settings."""
 
 import pytest
 import torch
@@ -14,8 +14,8 @@ SMALL = EncoderConfig(features=16)
     ("took", "most", "usual", "times"),
     [
         ([0.04] * 9, 1000, 0.04, 4),  # until 0.15 s have passed
-        ([0.8, 0.04, 0.05, 9.0], 1000, 0.05, 3),  # three times at least, of which one is held up
-        ([2.0, 0.04, 0.05, 9.0], 1000, 2.0, 1),  # unless that takes long
+        ([0.8, 0.04, 0.05, 9.0], 1000, 0.05, 3),  # at least three calls, of which one is delayed
+        ([2.0, 0.04, 0.05, 9.0], 1000, 2.0, 1),  # unless they take long
         ([0.04] * 9, 2, 0.04, 2),
         ([0.04] * 9, 0.1, 0.04, 1),
     ],
@@ -41,7 +41,7 @@ def test_an_image_costs_something_and_threads_stay_as_they_were(learn: bool) -> 
     assert torch.equal(torch.random.get_rng_state(), state)
 
 
-def test_stages_that_ask_for_more_are_expected_to_take_longer() -> None:
+def test_stages_with_more_work_are_expected_to_take_longer() -> None:
     how = Passes(SMALL, "auto", "cpu", 1, 4, learn=False)
     little, much = (speed.seconds([Work(steps, {how: steps})]) for steps in (1.0, 1e9))
     assert much > 1000 * little

@@ -1,4 +1,4 @@
-"""What stages ask of a machine follows from their configurations: in closed form, and in proportion."""
+"""The work of stages follows from their configurations: in closed form, and in proportion."""
 
 import msgspec
 import pytest
@@ -30,7 +30,7 @@ def test_seconds_are_the_sum_of_all_that_is_done() -> None:
     ("model", "reward", "shared", "passes"),
     [
         ("none", "none", True, (0, 0, 0)),
-        ("curl", "none", True, (0, 2 + 3, 3)),  # a rollout's worth of losses, then keys
+        ("curl", "none", True, (0, 2 + 3, 3)),  # the losses of a rollout, then keys
         ("curl", "ride", True, (1, 1 + 2 + 3, 3)),
         ("curl", "ride", False, (1, 1 + 2 + 3, 6)),
         ("rnd", "error", True, (1, 2 + 2 + 3, 3)),
@@ -66,7 +66,7 @@ def test_policies_count_whole_rollouts_and_epochs() -> None:
     assert counts(work.learning(frozen, encoder=True)) == {(32, False): 8192 + 64}
 
 
-def test_scoring_plays_every_step_of_the_budget() -> None:
+def test_scoring_counts_every_step_of_the_budget() -> None:
     config = EvaluateConfig()
     policy, random = work.playing(config, NETWORK), work.playing(config, None)
     assert counts(policy) == {(100, False): 10_000}

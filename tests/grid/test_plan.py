@@ -46,7 +46,7 @@ def test_the_grid_of_the_paper() -> None:
     assert {play.steps for play in plays} == {2_000_000}
     assert {policy.agent for policy in policies} == {play.explorer.name for play in plays} | {"scratch"}
     stages = Counter(job.stage for job in jobs)
-    assert stages["evaluate"] == 84 * 3 + 2 * 4  # at 200K, 500K and the end; random and oracle once a task
+    assert stages["evaluate"] == 84 * 3 + 2 * 4  # at 200K, 500K and the end; random and oracle once per task
     assert stages["train probe"] == len(plays)
     starts = {job.config.agent: job.needs for job in jobs if isinstance(job.config, PolicyTrainConfig)}
     assert starts.pop("scratch") == ()
@@ -99,7 +99,7 @@ def test_one_exploration_run_for_all_seeds_or_one_for_each() -> None:
         assert [job.config.seed for job in jobs.values() if isinstance(job.config, PolicyTrainConfig)] == [3, 4]
 
 
-def test_only_policies_take_their_likeliest_actions(tmp_path: Path) -> None:
+def test_only_policies_take_greedy_actions(tmp_path: Path) -> None:
     (tmp_path / "train").symlink_to(ROOT / "train")
     (tmp_path / "evaluate").mkdir()
     (tmp_path / "evaluate/goal-seeking.toml").write_text('actions = "greedy"')

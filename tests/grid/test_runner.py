@@ -276,7 +276,7 @@ while os.getppid() == parent:  # nor does it outlive the tests
     assert not is_alive(_number(pid))
 
 
-def benchmark(root: Path, jobs: Sequence[GridJob], monkeypatch: pytest.MonkeyPatch, width: int | None = None) -> str:
+def failing_grid(root: Path, jobs: Sequence[GridJob], monkeypatch: pytest.MonkeyPatch, width: int | None = None) -> str:
     """Everything that is printed until it fails."""
     monkeypatch.setattr(runner, "make_plan", lambda *_, **__: jobs)
     said = io.StringIO()
@@ -290,7 +290,7 @@ def test_a_failure_is_printed_with_its_log_and_the_command_that_runs_it_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bad = job(tmp_path, "bad", script=FAIL)
-    said = benchmark(tmp_path, [bad, job(tmp_path, "lost", bad), job(tmp_path, "good")], monkeypatch)
+    said = failing_grid(tmp_path, [bad, job(tmp_path, "lost", bad), job(tmp_path, "good")], monkeypatch)
     told = said.splitlines()
     assert r"failed bad: \x1b[31mno such thing" in told
     assert f"  log: {tmp_path / 'out/jobs/bad.log'}" in told
@@ -299,11 +299,11 @@ def test_a_failure_is_printed_with_its_log_and_the_command_that_runs_it_alone(
     assert not (tmp_path / "out/report").exists()  # there is no score to report
 
 
-def test_a_benchmark_is_run_by_one_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_grid_is_run_by_one_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     never = [job(tmp_path, "never")]
     with lock(tmp_path / "out"):
-        assert "another gym-open process" in benchmark(tmp_path, never, monkeypatch)
-    assert "--jobs: expected 1 or more, got 0" in benchmark(tmp_path, never, monkeypatch, width=0)
+        assert "another gym-open process" in failing_grid(tmp_path, never, monkeypatch)
+    assert "--jobs: expected 1 or more, got 0" in failing_grid(tmp_path, never, monkeypatch, width=0)
     assert not list(tmp_path.iterdir())
 
 
