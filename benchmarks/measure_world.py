@@ -1,7 +1,7 @@
 """Measurements of the physics at the world's timestep and at half of it: the table of docs/environment.md.
 
 .venv/bin/python benchmarks/measure_world.py                  # everything but the long run: some minutes
-.venv/bin/python benchmarks/measure_world.py --long 10000     # random actions: so many steps in each of 100 layouts
+.venv/bin/python benchmarks/measure_world.py --long 10000     # 10,000 random steps in each of 100 layouts
 """
 
 import argparse

@@ -35,7 +35,7 @@ class EncoderConfig(Config, frozen=True, kw_only=True):
 
 
 class ImagePasses(NamedTuple):
-    """How often one image passes through a world model's networks; `gym_open.forecast` estimates times from it."""
+    """How often an image passes through the networks of a world model; `gym_open.forecast` needs it."""
 
     learned: int
     """Forward and backward, per update."""
@@ -46,7 +46,7 @@ class ImagePasses(NamedTuple):
 
 
 class WorldModelConfig(Config, frozen=True, kw_only=True):
-    """What every world model's section has; enough for a world model without settings of its own."""
+    """Base of the sections of all world models. It is enough for a world model without further settings."""
 
     passes: ClassVar[ImagePasses] = ImagePasses(learned=1, looked=1, judged=2)
 
@@ -122,8 +122,8 @@ INTRINSIC_REWARDS = {
     "ride": "rewards.Ride",
     "counted-ride": "rewards.CountedRide",
 }
-"""Intrinsic rewards by name, and the module and class of each in `gym_open/agents/`."""
-if TYPE_CHECKING:
+"""Intrinsic rewards by name, with the module and class of each in `gym_open/agents/`."""
+if TYPE_CHECKING:  # type checkers cannot compute the names; at run time, configurations accept no others
     WorldModelName = ExplorerModelName = RewardName = str
 else:
     WorldModelName = Literal[WorldModelSections.__struct_fields__]
@@ -190,11 +190,12 @@ class ExplorerConfig(WorldModelSections, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         if self.world_model == "none" and self.reward != "none":
             raise ValueError(
-                f"`reward` {self.reward!r} needs a world model, got `world_model` 'none'; choose icm, rnd or curl, or "
+                f"`reward` {self.reward!r} needs a world model, got `world_model` 'none'; choose "
+                f"{' or '.join(WorldModelSections.__struct_fields__)}, or "
                 "give `reward` 'none'"
             )
         if self.encoder.architecture == "state":
-            raise ValueError("`encoder.architecture` 'state' is for policies on a task; explorers look at images")
+            raise ValueError("`encoder.architecture` 'state' is for policies on a task; explorers see images")
         if self.ppo.anneal_lr:
             raise ValueError(
                 "`ppo.anneal_lr` needs to know where a run ends, but exploration may end before its budget is spent: "

@@ -19,7 +19,7 @@ _AVX512 = "+avx512f" in _TARGET.codegen().magic_tuple()[2]  # numba's cache of m
 LANES = 16 if _AVX512 else 8
 """fp32 numbers in a register."""
 ROWS = 12 if _AVX512 else 6
-"""With two registers per row, so many rows fill most of the 32 registers of AVX-512, or of the 16 of AVX2."""
+"""With two registers per row, these rows fill most of the 32 registers of AVX-512, or of the 16 of AVX2."""
 WIDTH = 2 * LANES
 _FLOAT, _INDEX = ir.FloatType(), ir.IntType(64)
 _VECTOR = ir.VectorType(_FLOAT, LANES)

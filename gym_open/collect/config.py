@@ -21,7 +21,7 @@ class CurriculumConfig(Config, frozen=True, kw_only=True):
     threshold: NonNegativeFloat = 0.001
     """A world is learned when its scaled loss is below this: the paper's value. collect/README.md has the scales."""
     window: PositiveInt = 4
-    """The loss of a current world is averaged over so many rollouts. It is not learned before them."""
+    """Number of rollouts over which the loss of a current world is averaged. It is not learned before them."""
     interval: PositiveInt = 2048
     """Steps in a world between two decisions of `interval`, `uniform` and `progress`, rounded up to whole rollouts."""
 

@@ -126,7 +126,7 @@ class _Planner:
             )
         return there
 
-    def play(self, agent: AgentConfig, seed: int) -> GridJob:
+    def exploration(self, agent: AgentConfig, seed: int) -> GridJob:
         """Add an exploration run."""
         assert agent.collect is not None
         steps = agent.collect_steps or self.config.collect_steps
@@ -144,8 +144,8 @@ class _Planner:
         if agent.collect is None:
             return None
         seed = seed if agent.play_seed is None else agent.play_seed
-        play = self.play(agent, seed)
-        made = play if agent.encoder is None else self.offline_encoder(agent, agent.encoder, play, seed)
+        exploration = self.exploration(agent, seed)
+        made = exploration if agent.encoder is None else self.offline_encoder(agent, agent.encoder, exploration, seed)
         if self.config.probe is not None:
             probe = self.read("probe", self.config.probe, ProbeConfig, threads=1)
             out = self.out / "train/probes" / made.out.name
@@ -153,16 +153,18 @@ class _Planner:
             self.add(GridJob(f"probe-{made.out.name}", "train probe", out, probe, 1, options, (made,)))
         return made
 
-    def offline_encoder(self, agent: AgentConfig, file: str, play: GridJob, seed: int) -> GridJob:
+    def offline_encoder(self, agent: AgentConfig, file: str, exploration: GridJob, seed: int) -> GridJob:
         """Add the release of an exploration run, and the encoder that is trained from it."""
-        name = re.sub(r"[^a-z0-9-]", "-", play.out.name.lower())
+        name = re.sub(r"[^a-z0-9-]", "-", exploration.out.name.lower())
         release = self.read("release", agent.release, ReleaseConfig, name=f"open/{name}", version="1.0.0")
         folder = self.out / "datasets" / release.name / release.version
-        logs = ("--logs", str(play.out), "--workers", "1", "--replace")
-        built = self.add(GridJob(f"release-{name}", "dataset build", folder, release, play.units, logs, (play,)))
+        logs = ("--logs", str(exploration.out), "--workers", "1", "--replace")
+        built = self.add(
+            GridJob(f"release-{name}", "dataset build", folder, release, exploration.units, logs, (exploration,))
+        )
         updates = self.config.encoder_updates
         config = self.read("encoder", file, EncoderTrainConfig, updates=updates, seed=seed, threads=1)
-        name = f"{Path(file).stem}-of-{play.out.name}"
+        name = f"{Path(file).stem}-of-{exploration.out.name}"
         options = ("--release", str(folder))
         out = self.out / "train/encoders" / name
         return self.add(GridJob(name, "train encoder", out, config, config.updates, options, (built,)))
