@@ -3,8 +3,8 @@
 The network's multiplications, at the best speed for large matrices (`products`), are a lower bound for any
 implementation. The table also shows the parts: the environments alone, the network's forward pass alone for acting, and
 its forward and backward pass alone for the update's epochs. Stable-Baselines3's PPO has the same network, environments
-(stepped by our `TrainingEnvironments`, which are faster than its own), batch and epochs. It learns in fp32, and neither centres nor
-shifts images.
+(stepped by our `TrainingEnvironments`, which are faster than its own), batch and epochs. It learns in fp32, and neither
+centres nor shifts images.
 
 Candidates take turns, so that a busy machine slows all of them equally. A ratio is the median over rounds of the ratio
 within a round. With one thread, the clock is processor time, which does not count other processes. Two threads can only
