@@ -58,7 +58,7 @@ def test_what_is_wrong_is_named(tmp_path: Path, text: str, words: list[str]) -> 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"nowhere\.toml: no such configuration") as caught:
         load(tmp_path / "nowhere.toml", Outer)
-    assert "--config" not in str(caught.value)  # some commands have none: their files are named otherwise
+    assert "--config" not in str(caught.value)  # some commands have no file of their own name
     with pytest.raises(ConfigError, match="cannot be read"):
         load(tmp_path, Outer)
 

@@ -1,4 +1,4 @@
-"""Networks compute in bf16 only where the processor multiplies it natively, and a run keeps its precision."""
+"""Networks compute in bf16 only if the processor multiplies it natively, and a run keeps its precision."""
 
 import os
 import platform
@@ -29,7 +29,7 @@ TINY = PolicyTrainConfig(
 
 @pytest.fixture
 def processor(monkeypatch: pytest.MonkeyPatch) -> Callable[[Precision], None]:
-    """`processor("fp32")`: from now on this machine is one whose native precision is fp32."""
+    """`processor("fp32")`: from now on, the native precision of this machine is fp32."""
     return lambda native: monkeypatch.setattr(precision, "native_precision", lambda _device="cpu": native)
 
 
@@ -82,7 +82,7 @@ def test_a_damaged_record_is_refused(tmp_path: Path) -> None:
 def test_a_resumed_policy_goes_on_in_the_precision_in_which_it_began(
     began: Precision, tmp_path: Path, processor: Callable[[Precision], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The second half runs on a processor of the other kind, and the bytes are those of an unbroken run."""
+    """The second half runs with the other native precision, and the bytes equal those of an uninterrupted run."""
     processor(began)
     whole = policy.train_policy(TINY, None, tmp_path / "whole").path
     assert artefacts.lineage(whole).facts["precision"] == began

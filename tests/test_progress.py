@@ -1,4 +1,4 @@
-"""How far a process is: in a file that another process reads, in lines, and as a bar on a terminal."""
+"""Progress in a file for another process, in lines, and as a bar on a terminal."""
 
 import os
 import subprocess
@@ -31,7 +31,7 @@ def test_the_end_is_written_at_once_and_what_was_done_before_is_no_speed(
         assert Progressed.read(tmp_path / "said") == Progressed(40, 100, 0.0)
         now[0] += 0.5
         shown.advance(10)
-        assert Progressed.read(tmp_path / "said") == Progressed(40, 100, 0.0)  # not more than once a second
+        assert Progressed.read(tmp_path / "said") == Progressed(40, 100, 0.0)  # at most once per second
         now[0] += 1.5
         shown.advance(10)
         assert Progressed.read(tmp_path / "said") == Progressed(60, 100, 10.0)
@@ -47,12 +47,12 @@ def test_a_file_that_cannot_be_written_stops_no_work(tmp_path: Path, monkeypatch
 
 @pytest.fixture
 def nothing_between(monkeypatch: pytest.MonkeyPatch) -> None:
-    """However slow the machine is, nothing is said between start and end."""
+    """Even on a slow machine, no line is written between start and end."""
     monkeypatch.setattr(progress, "EVERY", 1e6)
 
 
 class Clock:
-    """Seconds that pass when they are told to."""
+    """A clock that a test sets."""
 
     def __init__(self) -> None:
         self.now = 1000.0
@@ -64,7 +64,7 @@ class Clock:
 def test_lines_say_what_is_done_how_fast_and_how_long_it_still_takes() -> None:
     said, clock = list[str](), Clock()
     lines = Lines("exploring", 20_480, write_line=said.append, clock=clock)
-    lines.now()  # nothing is known yet
+    lines.now()  # the speed is unknown yet
     clock.now += 10
     lines.advance(3_310, "2 of 12 worlds")
     lines.now()
@@ -89,7 +89,7 @@ def test_what_was_done_before_is_said_and_no_speed() -> None:
     clock.now += 4
     lines.advance(1, None)
     lines.now()
-    lines.end()  # it may end before all is done
+    lines.end()  # it may end before all units are done
     assert said == [
         "work: goes on at 40 of 100",
         "work: 41 of 100 (41%), 0.2/s, 4 min left",
@@ -166,7 +166,7 @@ with progress.stage("outer"):
 
 @pytest.mark.parametrize("colour", [{}, {"FORCE_COLOR": "1"}, {"NO_COLOR": "1"}, {"TERM": "dumb"}])
 def test_a_pipe_gets_each_line_at_once_from_the_innermost_work(colour: dict[str, str]) -> None:
-    """CI may ask for colours, but draws no bars. No clock is looked at here: each line is waited for."""
+    """CI may force colours, but draws no bars. The test waits for each line, not for a time."""
     words = [sys.executable, "-c", WORKS]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with started(words, env={**os.environ, **colour}, **pipes) as process:
@@ -177,7 +177,7 @@ def test_a_pipe_gets_each_line_at_once_from_the_innermost_work(colour: dict[str,
         process.stdin.flush()
         line = next(line for line in process.stderr if not line.startswith("outer: "))
         assert line == "inner: 0 of 3\n"
-        line = next(line for line in process.stderr if "1 of 3 (33%)" in line)  # said while it waits
+        line = next(line for line in process.stderr if "1 of 3 (33%)" in line)  # written during the wait
         assert line.endswith("; a note\n")
         process.stdin.write("\n")
         process.stdin.flush()
@@ -214,7 +214,7 @@ with bar("work", 2) as shown:
 
 
 def _all_of(terminal: int) -> Iterator[bytes]:
-    with suppress(OSError):  # which is how a terminal ends
+    with suppress(OSError):  # a terminal ends like this
         while said := os.read(terminal, 65_536):
             yield said
     os.close(terminal)

@@ -1,4 +1,4 @@
-"""Named random streams: repeatable, and independent of one another."""
+"""Named random streams are repeatable and independent of one another."""
 
 import hashlib
 

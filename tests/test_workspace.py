@@ -1,4 +1,4 @@
-"""Workspaces: made whole, refused by name when they are none."""
+"""Workspaces are made whole; a folder that is no workspace is refused by name."""
 
 from pathlib import Path
 

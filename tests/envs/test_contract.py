@@ -1,4 +1,4 @@
-"""What every environment promises, whatever its task: one suite over all ids and both forms of observation."""
+"""The contract of every environment: one suite over all ids and both forms of observation."""
 
 import itertools
 from collections.abc import Iterator
@@ -42,7 +42,7 @@ def made(task: Task, form: ObservationMode = "dict", **options: Any) -> OpenEnv:
 
 
 def played(env: OpenEnv, seed: int, steps: int = 60) -> Iterator[Step]:
-    """Random play over episodes, the resets among it."""
+    """Random actions over several episodes, with their resets."""
     observation, info = env.reset(seed=seed)
     yield observation, 0.0, False, False, info
     for action in np.random.default_rng(seed).integers(0, N_ACTIONS, steps).tolist():
@@ -68,7 +68,7 @@ def test_gymnasiums_checker_finds_nothing(task: Task, form: ObservationMode, opt
 
 def test_stable_baselines_checker_finds_nothing(task: Task) -> None:
     sb3.check_env(made(task, "image"))
-    # It would have the objects in one row; its policies take them as they are.
+    # It recommends one row of numbers; its policies accept the array as it is.
     with pytest.warns(UserWarning, match="object_state has an unconventional shape") as warned:
         sb3.check_env(made(task, "dict"))
     assert len(warned) == 1

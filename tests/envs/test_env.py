@@ -1,4 +1,4 @@
-"""Rewards of each task by scripted play, what is told and shown, and options. What all tasks share: test_contract."""
+"""Rewards of each task by scripted actions, infos, observations and options. test_contract has what all tasks share."""
 
 from typing import Any
 
@@ -99,7 +99,7 @@ def test_danger_ends_the_episode_unpaid_even_with_a_hit_in_the_same_step() -> No
     env = made("avoidance")
     start = puzzle("avoidance", ("agent", 12, 4), ("yellow", 3, 4), patch=Patch(9, 4))
     assert play(env, start, NORTH, NORTH) == [(0.0, False, False), (0.0, True, False)]
-    # A goal just inside the patch is hit by the very step that enters it.
+    # The step that enters the patch also hits a goal just inside it.
     env.reset(options={"puzzle": start})
     env.step(NORTH)
     env.world.data.qpos[7:9] = c.cell_centre(9, 4)[0], c.cell_centre(9, 4)[1] - 0.065
@@ -132,7 +132,7 @@ def test_a_dictionary_observation_shows_only_what_is_there() -> None:
     np.testing.assert_allclose(seen["object_state"][there], info["object_state"][there], rtol=1e-6)
     np.testing.assert_array_equal(seen["image"], env.world.observe())
     np.testing.assert_allclose(seen["object_state"][0, :2], c.cell_centre(8, 3), rtol=1e-6)
-    env.world.data.qvel[:3] = 1e9, -1e9, 0  # beyond anything that happens
+    env.world.data.qvel[:3] = 1e9, -1e9, 0  # beyond any state that occurs
     assert env.observe() in env.observation_space
 
 

@@ -1,7 +1,7 @@
-"""The worlds of version 1 move and look as they did when they were frozen.
+"""The worlds of version 1 move and look as they did when version 1 was frozen.
 
-A change that fails here makes a new version of the environments (`gym_open/…-v2`), with golden files of its own:
-released data and scores were made in this one. `python tests/envs/test_frozen.py` writes the golden files.
+A change that fails here needs a new version of the environments (`gym_open/…-v2`) with its own golden files, because
+released data and scores were made in this version. `python tests/envs/test_frozen.py` writes the golden files.
 """
 
 import hashlib
@@ -26,7 +26,7 @@ PUZZLE = 17
 
 
 def _played(task: Task) -> tuple[list[list[list[float]]], np.ndarray]:
-    """Positions (steps, objects, 3) of what is on the table, and the pictures before and after, side by side."""
+    """Positions (steps, objects, 3) of the objects on the table, and the images before and after, in one array."""
     world = World()
     world.load(test_puzzles(task)[PUZZLE], recolour_hits=True)
     before = world.observe()
@@ -56,7 +56,7 @@ def test_the_model_is_the_frozen_one() -> None:
 @pytest.mark.parametrize("task", TASKS)
 def test_things_move_as_they_did(task: Task) -> None:
     positions, _ = _played(task)
-    # For processors outside of the promise, 64-bit Arm for one: `test_processors` holds the others to the bit.
+    # For processors without the promise, such as 64-bit Arm; `test_processors` compares bits on the others.
     np.testing.assert_allclose(positions, _golden()["positions"][task], atol=1e-6)
 
 
@@ -64,7 +64,7 @@ def test_things_move_as_they_did(task: Task) -> None:
 def test_things_look_as_they_did(task: Task) -> None:
     _, pictures = _played(task)
     golden = np.asarray(Image.open(GOLDEN / f"v1-{task}.png"))
-    # There, a pixel whose ray grazes an edge may fall to either side.
+    # On them, a pixel whose ray grazes an edge may differ.
     assert (pictures != golden).any(axis=2).sum() <= 4
 
 

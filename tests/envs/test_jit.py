@@ -1,4 +1,4 @@
-"""Machine code that is kept on disk is made anew when any compiled source changes."""
+"""Machine code on disk is compiled again when any compiled source changes."""
 
 import sys
 from pathlib import Path
@@ -38,7 +38,7 @@ def test_a_change_of_what_is_called_in_another_file_is_noticed(tmp_path: Path) -
 
 
 def test_a_type_that_moved_is_no_obstacle(tmp_path: Path) -> None:
-    """What numba keeps names the modules of the types in it, and it cannot read that where one is gone."""
+    """Numba's cache names the modules of its types, and numba cannot read the cache if such a module is missing."""
     caller = CALLER.replace("import called", "import called, Pair").replace("caller()", "caller(Pair(1))")
     caller = caller.replace("def caller(Pair(1))", "def caller(pair)").replace(
         "return called()", "return called() + pair.one"

@@ -1,4 +1,4 @@
-"""Meshes of the user's own: what is hollow stays so, they are pushed and come to rest, and bad files are refused."""
+"""The user's meshes: holes stay free, pushed meshes come to rest, and bad files are refused."""
 
 from pathlib import Path
 
@@ -47,7 +47,7 @@ def world_with(mesh: MeshObject, *objects: tuple, **options: object) -> World:
 
 
 def depth_of_ball(world: World, place: tuple[float, float]) -> float:
-    """How deep a ball of 4 cm on the table is in the mesh, when it is put at this place around the mesh's cell."""
+    """Depth of the overlap of a 4 cm ball on the table with the mesh, at this position relative to the mesh's cell."""
     index, mesh = (next(i for i, n in enumerate(world.inventory) if n.startswith(k)) for k in ("push_0", "mesh:"))
     poses = world.data.qpos.reshape(-1, 7)
     poses[index, :2] = poses[mesh, :2] + place
@@ -61,7 +61,7 @@ def depth_of_ball(world: World, place: tuple[float, float]) -> float:
 
 
 def depth_in_hull(mesh: trimesh.Trimesh, place: tuple[float, float, float]) -> float:
-    """The same for MuJoCo's own collision of the mesh, which takes its convex hull."""
+    """The same for MuJoCo's own collision of the mesh, which uses the convex hull."""
     vertices = " ".join(map(str, mesh.vertices.ravel()))
     text = f"""<mujoco><asset><mesh name="m" vertex="{vertices}"/></asset><worldbody>
         <geom type="mesh" mesh="m"/><body pos="{place[0]} {place[1]} {place[2]}"><freejoint/><geom size="0.02"/></body>
@@ -77,7 +77,7 @@ def test_the_hole_of_a_ring_is_free(folder: Path) -> None:
     )
     assert depth_of_ball(world, (0, 0)) == 0
     assert depth_of_ball(world, (0.008, 0)) == 0
-    assert depth_of_ball(world, (0.05, 0)) > 0.02  # and the ring itself is not
+    assert depth_of_ball(world, (0.05, 0)) > 0.02  # but the ring itself is solid
     assert depth_of_ball(world, (0, -0.05)) > 0.02
     assert depth_in_hull(trimesh.load_mesh(folder / "ring.obj"), (0, 0, 0)) > 0.01
 
@@ -124,7 +124,7 @@ def test_it_is_pushed_and_comes_to_rest(folder: Path) -> None:
 def test_it_lies_where_it_was_put(folder: Path) -> None:
     ring = trimesh.load_mesh(folder / "ring.obj")
     lying = ring.vertices[:, 2].copy()
-    ring.apply_transform(trimesh.transformations.rotation_matrix(1.2, (1, 0, 0)))  # leaning: it falls over
+    ring.apply_transform(trimesh.transformations.rotation_matrix(1.2, (1, 0, 0)))  # tilted: it falls over
     ring.export(folder / "leaning.stl")
     shape = mesh_shape(MeshObject(name="ring", file=str(folder / "leaning.stl")))
     np.testing.assert_allclose(shape.extents[2], np.ptp(lying), atol=2e-3)
@@ -132,7 +132,7 @@ def test_it_lies_where_it_was_put(folder: Path) -> None:
     index = world.inventory.index("mesh:ring_0")
     before = world.object_state()[index]
     assert before[2] == pytest.approx(np.ptp(lying) / 2, abs=1e-3)
-    world.step(3)  # nothing touches it
+    world.step(3)  # the agent moves away from it
     np.testing.assert_array_equal(world.object_state()[index], before)
 
 
@@ -229,4 +229,4 @@ def test_a_puzzle_must_not_ask_for_more_than_the_world_has(folder: Path) -> None
     world.load(puzzle)
     with pytest.raises(PuzzleError, match="'mesh:l' than this world's 1"):
         world.load(Puzzle("sandbox", arranged([*puzzle.objects, Placement("mesh:l", 3, 4)])))
-    assert world.puzzle == puzzle  # and the world is as it was
+    assert world.puzzle == puzzle  # the world is unchanged

@@ -1,4 +1,4 @@
-"""What a world's options change, each against its closed form, and which are refused."""
+"""The effect of each option of a world, compared with its closed form, and options that are refused."""
 
 import numpy as np
 import pytest
@@ -96,9 +96,9 @@ def test_friction_brakes_by_coulombs_law(friction: float) -> None:
     start = 1.5
     speed(world, "light_0")[1] = start
     world.advance(600)
-    slow = friction * 9.81 / 10  # from there on the brake is viscous: 10/s of the speed
+    slow = friction * 9.81 / 10  # below this speed the brake is viscous: 10/s of the speed
     expected = (start**2 - slow**2) / (2 * friction * 9.81) + slow / 10
-    # With little friction it gets to the wall instead, 2 m away, and comes back: 11.5 m would be its way.
+    # With little friction it would slide 11.5 m, so it reaches the wall at 2 m and comes back.
     if friction == 0.7:
         assert place(world, "light_0")[1] - before == pytest.approx(expected, rel=0.05)
     else:
@@ -116,7 +116,7 @@ def test_without_friction_nothing_slows_down() -> None:
 
 
 def restitution(world: World, a: str, b: str | None) -> float:
-    """Mean, over where between substeps it begins, of the speed apart over the speed together along x."""
+    """Mean ratio of separating to closing speed along x, over the phases between substeps at which contact begins."""
     ratios = []
     for phase in np.linspace(0, 1, 16, endpoint=False):
         world.load(world.puzzle)
@@ -162,7 +162,7 @@ def test_size_is_the_distance_at_which_things_touch(kind: str, across: int) -> N
     radius = (size if kind == "agent" else 0.1) / 2
     half = (0.1 if kind == "agent" else size * across) / 2
     expected = {
-        "push": np.sqrt((radius + half) ** 2 - (radius - half) ** 2),  # two balls on one table
+        "push": np.sqrt((radius + half) ** 2 - (radius - half) ** 2),  # two spheres on one table
         # The slope's half angle is atan ½: its distance from the axis at the agent's height, and the radius across it.
         "cone": (size - radius) / 2 + radius / np.cos(np.arctan(0.5)),
     }.get(kind, radius + half)
@@ -173,7 +173,7 @@ def test_colour_is_what_the_camera_sees() -> None:
     world = world_of("light", ObjectOptions(colour=(20, 40, 80)), ("agent", 8, 4), ("light", 12, 4))
     seen = world.observe()[world.segmentation() == world.model.geom("light_0").id].astype(float)
     assert len(seen) > 8
-    inner = seen[np.argsort(seen.sum(axis=1))][2:-2].mean(axis=0)  # without what is mixed at its edges
+    inner = seen[np.argsort(seen.sum(axis=1))][2:-2].mean(axis=0)  # without the mixed colours at its edges
     np.testing.assert_allclose(inner / inner.sum(), np.array([20, 40, 80]) / 140, atol=0.03)
 
 
@@ -183,7 +183,7 @@ def test_the_camera_is_where_it_is_told_to_be() -> None:
     world.load(Puzzle("sandbox", arranged([Placement("agent", 3, 6)])))
     rows, columns = np.nonzero(world.segmentation() == world.model.geom("agent").id)
     x, y = c.cell_centre(3, 6)
-    half = np.tan(np.deg2rad(30)) * (2.5 - c.RADIUS)  # metres from the middle to the picture's edge, at its height
+    half = np.tan(np.deg2rad(30)) * (2.5 - c.RADIUS)  # metres from the middle to the image's edge, at its height
     assert world.observe().shape == (160, 160, 3)
     assert columns.mean() == pytest.approx(80 + 80 * x / half - 0.5, abs=0.7)
     assert rows.mean() == pytest.approx(80 - 80 * y / half - 0.5, abs=0.7)
@@ -199,7 +199,7 @@ def test_light_comes_from_where_it_is_told_to() -> None:
     low, high = brightness(LightOptions(elevation_deg=20)), brightness(LightOptions(elevation_deg=80))
     assert high["table"] > low["table"] + 5
     front, behind = brightness(LightOptions(angle_deg=270)), brightness(LightOptions(angle_deg=90))
-    assert front["seen_wall_north"] > behind["seen_wall_north"] + 3  # its face looks south
+    assert front["seen_wall_north"] > behind["seen_wall_north"] + 3  # its visible face points south
     assert front["table"] == pytest.approx(behind["table"], abs=1)
     np.testing.assert_allclose(LightOptions(angle_deg=0, elevation_deg=90).direction, (0, 0, -1), atol=1e-12)
     np.testing.assert_allclose(

@@ -1,4 +1,4 @@
-"""The ray caster against `mujoco.Renderer`: colour, depth, segmentation; normals against geometry."""
+"""Compare the ray caster with `mujoco.Renderer` (colour, depth, segmentation) and its normals with geometry."""
 
 import copy
 from pathlib import Path
@@ -36,7 +36,7 @@ class Pictures(NamedTuple):
 
 
 class Reference:
-    """What `mujoco.Renderer` makes of a model, without shadow and sky."""
+    """Images of a model from `mujoco.Renderer`, without shadow and sky."""
 
     def __init__(self, model: mujoco.MjModel, size: int) -> None:
         self._model = copy.copy(model)
@@ -70,7 +70,7 @@ class Reference:
 
 
 def compare(model: mujoco.MjModel, theirs: list[Pictures], ours: list[Pictures]) -> None:
-    """Hold ours to theirs: silhouettes may differ by a pixel here and there, and round things have facets in OpenGL."""
+    """Compare both: silhouettes may differ by single pixels, and round shapes have facets in OpenGL."""
     a, b = (Pictures(*(np.array(parts) for parts in zip(*each, strict=True))) for each in (ours, theirs))
     same = a.label == b.label
     assert same.mean() > 0.999, f"labels: {same.mean():.5f} the same"
@@ -151,7 +151,7 @@ def test_every_kind_of_object_with_other_cameras_and_lights(view: str, tmp_path:
 
 
 def pill(folder: Path) -> Path:
-    """A capsule as a file."""
+    """A file with a capsule."""
     path = folder / "pill.stl"
     trimesh.creation.capsule(0.05, 0.03, count=(12, 12)).export(path)
     return path
@@ -201,12 +201,12 @@ def test_normals_are_those_of_the_geometry() -> None:
             np.testing.assert_allclose(normals[seen], (points[seen] - centre) / c.RADIUS, atol=1e-4)
         elif (flat := seen & _on_plane(depth)).sum() > 20:
             alike = (_square_to(points) * normals).sum(axis=2)[flat]
-            # A cone's light, and so its normals, are smoothed over its facets.
+            # A cone's normals are interpolated over its facets.
             assert alike.min() > (0.95 if name.startswith("cone") else 1 - 1e-3), name
 
 
 def _on_plane(depth: np.ndarray) -> np.ndarray:
-    """Pixels whose neighbours lie on one plane with them: there 1/depth is linear over the picture."""
+    """Pixels on one plane with their neighbours: there, 1/depth is linear over the image."""
     near, flat = 1 / depth, np.zeros(depth.shape, bool)
     middle = near[1:-1, 1:-1]
     bend = [near[1:-1, 2:] + near[1:-1, :-2] - 2 * middle, near[2:, 1:-1] + near[:-2, 1:-1] - 2 * middle]
@@ -215,7 +215,7 @@ def _on_plane(depth: np.ndarray) -> np.ndarray:
 
 
 def _square_to(points: np.ndarray) -> np.ndarray:
-    """Unit vectors square to the surface through the points (H, W, 3) of a picture, towards the camera."""
+    """Unit normals, towards the camera, of the surface through the points (H, W, 3) of an image."""
     found = np.zeros_like(points)
     across, down = points[1:-1, 2:] - points[1:-1, :-2], points[2:, 1:-1] - points[:-2, 1:-1]
     found[1:-1, 1:-1] = np.cross(down, across)

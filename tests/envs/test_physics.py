@@ -1,4 +1,4 @@
-"""What must never happen, with every kind of object: passing through, escaping, energy from nothing; new kinds."""
+"""Events that must never happen, for every kind of object: passing through, escaping, gaining energy; the new kinds."""
 
 import mujoco
 import numpy as np
@@ -34,7 +34,7 @@ def velocity(world: World, name: str) -> np.ndarray:
 
 
 def depth(world: World) -> float:
-    """Deepest overlap of the last substep, but with the ground."""
+    """Deepest overlap in the last substep, without the ground."""
     contact = world.data.contact
     aside = ~(contact.geom == world.model.geom("ground").id).any(axis=1)
     return -float(contact.dist[aside].min(initial=0))
@@ -72,7 +72,7 @@ def test_nothing_thrown_gets_through_a_pen_or_the_table_walls(kind: str) -> None
             else laid(("agent", 1, 1), (kind, 13, 4), pen=Pen(8, 4, "north"))
         )
         world.data.mocap_pos[world.model.body("ramp").mocapid[0]] = 0, -60, 0
-        # The agent from the middle outwards, all else from outside towards the pen.
+        # The agent starts in the middle and moves outwards, all other objects start outside and move to the pen.
         inside = kind == "agent"
         pose(world, name)[:2] = centre if inside else centre - (0.46, 0.5) * direction / np.abs(direction).max()
         mujoco.mj_forward(world.model, world.data)
@@ -112,7 +112,7 @@ def test_ten_thousand_steps_with_everything(options: WorldOptions) -> None:
 
 
 def energy(world: World) -> float:
-    """Joules of motion and height, by MuJoCo's own sum over bodies' centres of mass."""
+    """Kinetic and potential energy in joules, by MuJoCo's own sum over bodies' centres of mass."""
     mujoco.mj_comPos(world.model, world.data)
     mujoco.mj_crb(world.model, world.data)
     mujoco.mj_energyPos(world.model, world.data)
@@ -121,7 +121,7 @@ def energy(world: World) -> float:
 
 
 def test_energy_never_comes_from_nothing() -> None:
-    """A contact is a spring that gives back what it holds: so from a free start, until the next action."""
+    """A contact is a spring that returns its energy, so energy is compared from a start without contact."""
     rng, world, checked = np.random.default_rng(4), World(), 0
     for _ in range(6):
         world.load(sample_puzzle("sandbox", rng, EVERYTHING))
@@ -130,7 +130,7 @@ def test_energy_never_comes_from_nothing() -> None:
             free = depth(world) == 0
             agent = velocity(world, "agent")
             agent[:2] += c.MOVE_SPEED * np.array(c.MOVES[action])
-            # Parked objects have energy of height too, which does not change: only that on the table is compared.
+            # The constant potential energy of parked objects does not matter: only objects on the table are compared.
             before = energy(world)
             scale = float(sum(world.model.body(world.inventory[i]).mass[0] for i in world.present.nonzero()[0])) * 0.5
             scale += 0.5 * 7 * float(agent[:2] @ agent[:2])
@@ -172,7 +172,7 @@ def test_a_contact_gives_back_what_the_spring_of_continuous_time_does() -> None:
 
 def test_a_stack_stands_until_it_is_hit() -> None:
     world = laid(("agent", 14, 4), ("stack", 8, 4), ("light", 3, 3))
-    low, high = pose(world, "light_1"), pose(world, "light_2")  # after the light cube that is none of it
+    low, high = pose(world, "light_1"), pose(world, "light_2")  # light_0 is a separate cube
     assert (low[:2] == high[:2]).all()
     assert high[2] - low[2] == pytest.approx(2 * c.RADIUS, abs=1e-3)
     before = high.copy()
@@ -182,7 +182,7 @@ def test_a_stack_stands_until_it_is_hit() -> None:
     world.step(NORTH)
     world.step(NORTH)
     world.advance(10)
-    assert low[1] - before[1] > 0.1  # knocked away from under the other
+    assert low[1] - before[1] > 0.1  # knocked away from under the upper cube
     assert abs(high[1] - before[1]) < 0.05
     world.advance(500)
     assert high[2] < 0.06

@@ -1,4 +1,4 @@
-"""The planner against closed forms and against trying out every sequence."""
+"""Compare the planner with closed forms and with a search of all sequences."""
 
 import itertools
 import math
@@ -46,7 +46,7 @@ def test_least_moves_by_trying_all_displacements() -> None:
 
 @pytest.mark.parametrize("task", ["goal-seeking", "avoidance"])
 def test_no_shorter_sequence_solves_it(task: Task, world: World) -> None:
-    """Of the puzzles solved in four actions, none is solved in three: all 512 are tried."""
+    """No puzzle with a solution of four actions has one of three: all 512 sequences are tried."""
     pairs = zip(puzzles_of(task, "test"), witnesses_of(task, "test"), strict=True)
     short = [puzzle for puzzle, witness in pairs if len(witness.actions) == 4][:2]
     assert len(short) == 2
@@ -66,7 +66,7 @@ def test_preferences_the_best_of_all_short_sequences(world: World) -> None:
 
 
 def _gain(world: World, puzzle: Puzzle, actions: tuple[int, ...]) -> float:
-    """A-Success of what the sequence earns, by the closed form."""
+    """A-Success of the sequence, by the closed form."""
     world.load(puzzle)
     gain = 0.0
     for k, action in enumerate(actions, 1):
@@ -88,7 +88,7 @@ def test_only_the_whole_sequence_solves_it(world: World) -> None:
     puzzle = laid("goal-seeking", ("agent", 8, 4), ("yellow", 8, 6))
     assert solves(world, puzzle, (EAST, EAST))
     assert not solves(world, puzzle, (EAST,))
-    assert not solves(world, puzzle, (EAST, EAST, WEST))  # goes on behind the end
+    assert not solves(world, puzzle, (EAST, EAST, WEST))  # continues after the end
     assert not solves(world, puzzle, ())
     assert not solves(world, puzzle, (0,) * 99 + (EAST, EAST))  # over the budget of 100
 

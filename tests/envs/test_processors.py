@@ -1,8 +1,8 @@
-"""The same puzzle and actions give the same states and pictures, to the bit, on processors of other kinds.
+"""The same puzzle and actions give the same states and images, to the bit, on other kinds of processors.
 
-A child process plays with every switch of its libraries set as a lesser processor would have it: numba's, NumPy's,
-OpenBLAS's and the GNU C library's. MuJoCo has none. It reports what limits took hold, what its compiled code looks
-like, and digests of what it played, which are held to the golden ones. What is promised and why: decision 0013.
+A child process limits its libraries (numba, NumPy, OpenBLAS and the GNU C library) to the features of an older
+processor. MuJoCo has no such setting. The process reports the limits that took effect, properties of its compiled code,
+and digests of its results, which are compared with golden digests. Decision 0013 has the promise and its reasons.
 
 `python tests/envs/test_processors.py` reports on the process it runs in; with `--write` it writes the golden digests.
 """
@@ -37,10 +37,10 @@ from gym_open.envs.vector import OpenVectorEnv
 from gym_open.envs.world import World
 
 NUMPY: Any = importlib.import_module("numpy._core._multiarray_umath")
-"""Knows for which processors NumPy has loops, and which it uses."""
+"""A module that lists NumPy's loops per processor, and those in use."""
 GOLDEN = Path(__file__).parent / "golden"
 BITS = GOLDEN / "v1-bits.json"
-pytestmark = pytest.mark.timeout(1000)  # against hanging alone: a child compiles everything anew
+pytestmark = pytest.mark.timeout(1000)  # only against hanging: a child compiles all code
 
 ALL_TASKS: tuple[Task, ...] = ("sandbox", *TASKS)
 EVERYTHING = SandboxConfig(push=(1, 2), rectangle=(1, 2), cone=(1, 2), stack=(0, 1))
@@ -51,39 +51,39 @@ CHANGED = WorldOptions(
     timestep_s=0.002,
     substeps=20,
 )
-"""NumPy's tangent of half this field of view is another number on processors with AVX-512."""
+"""On processors with AVX-512, NumPy's tangent of half this field of view is another number."""
 STEPS = 150
 
 _EXACT = {"sqrt", "floor", "ceil", "fabs"}
-"""Functions of numbers that compiled code may call: IEEE 754 says every bit of their results."""
+"""Functions that compiled code may call: IEEE 754 defines every bit of their results."""
 _FUSED = re.compile(r"vfn?m(add|sub)")
 _RUNTIME = re.compile(r"_?Py|NRT_|numba_|_ZN|llvm\.")
 
 
 class Limit(NamedTuple):
-    """A processor to stand for."""
+    """A processor to simulate."""
 
     numba: str
-    """LLVM's name of it."""
+    """Its name in LLVM."""
     numba_features: str
     numpy: str
-    """Which of the features that NumPy chooses its loops by are switched off: a pattern."""
+    """Pattern of the NumPy features that are switched off."""
     blas: str
-    """OpenBLAS's name of it."""
+    """Its name in OpenBLAS."""
     glibc: str
-    """What the C library is told not to find."""
+    """Features that the C library must ignore."""
     without: frozenset[str]
-    """What must have gone."""
+    """Features that must be absent."""
 
 
 _NO_512 = "-AVX512F,-AVX512VL,-AVX512BW,-AVX512DQ,-AVX512CD"
 AVX2 = Limit("haswell", "+avx,+avx2,+fma,+bmi,+bmi2,+f16c", "AVX512|X86_V4", "Haswell", _NO_512, frozenset({"AVX512F"}))
 SSE = Limit("generic", "", "", "Nehalem", _NO_512, frozenset({"AVX512F"}))
-"""All but the C library, whose sine and cosine differ without AVX2 and FMA."""
+"""Limits all libraries except the C library, whose sine and cosine differ without AVX2 and FMA."""
 ALL_SSE = SSE._replace(glibc=f"{_NO_512},-AVX2,-AVX,-FMA,-FMA4", without=frozenset({"AVX512F", "AVX2", "AVX", "FMA"}))
 
 
-# What a process plays ------------------------------------------------------------------------------------------------
+# Results of a process -------------------------------------------------------------------------------------------------
 
 
 def digest(*parts: Any) -> str:
@@ -94,13 +94,13 @@ def digest(*parts: Any) -> str:
 
 
 def compiled_numbers(world: World) -> str:
-    """Of what MuJoCo works out of the model's text, with sines and arc tangents of its own."""
+    """Digest of the compiled model, for which MuJoCo computes sines and arc tangents."""
     names = "geom_pos geom_quat geom_size body_ipos body_iquat body_inertia mesh_vert mesh_normal cam_quat light_dir"
     return digest(*(getattr(world.model, name) for name in names.split()), *world.drawing.camera)
 
 
 def golden_play(task: Task) -> tuple[list[list[list[float]]], np.ndarray]:
-    """What `test_frozen` plays: positions to a nanometre, and the pictures before and after."""
+    """Digests of the steps in `test_frozen`: positions to a nanometre, and the images before and after."""
     world = World()
     world.load(fixed_puzzles(task)[17], recolour_hits=True)
     before, positions = world.observe(), []
@@ -111,7 +111,7 @@ def golden_play(task: Task) -> tuple[list[list[list[float]]], np.ndarray]:
 
 
 def long_play(world: World, puzzles: list[Puzzle]) -> Iterator[tuple[str, Any]]:
-    """Of random play: states and outcomes ("motion"), and what the camera sees ("look")."""
+    """Digests of random steps: states and outcomes ("motion"), and images ("look")."""
     for seed, puzzle in enumerate(puzzles):
         world.load(puzzle, recolour_hits=True)
         for step, action in enumerate(np.random.default_rng(seed).integers(1, N_ACTIONS, STEPS).tolist()):
@@ -158,7 +158,7 @@ def played() -> dict[str, str]:
     return found | {"vector": vector_play()}
 
 
-# What a process is ---------------------------------------------------------------------------------------------------
+# Properties of a process ----------------------------------------------------------------------------------------------
 
 
 class _Leaf(ctypes.Structure):
@@ -166,7 +166,7 @@ class _Leaf(ctypes.Structure):
 
 
 def glibc_features() -> set[str]:
-    """Which of AVX, FMA, AVX2 and AVX512F the GNU C library uses; none where this is another library."""
+    """Those of AVX, FMA, AVX2 and AVX512F that the GNU C library uses; none for another C library."""
     try:
         leaf = ctypes.CDLL(None).__x86_get_cpuid_feature_leaf
     except AttributeError:
@@ -177,7 +177,7 @@ def glibc_features() -> set[str]:
 
 
 def facts() -> dict[str, Any]:
-    """What this process's libraries take the processor for."""
+    """The processor features that this process's libraries use."""
     from numba.core.registry import cpu_target
 
     blas: Any = ctypes.CDLL(NUMPY.__file__).scipy_openblas_get_corename64_
@@ -196,7 +196,7 @@ def facts() -> dict[str, Any]:
 
 
 def machine_code() -> dict[str, dict[str, list[str]]]:
-    """Of each function that was compiled: fused operations, wide registers, foreign functions that it calls."""
+    """For each compiled function: fused operations, wide registers, and foreign functions that it calls."""
     found = {}
     modules = [module for name, module in sys.modules.items() if name.startswith("gym_open.envs.")]
     functions = {id(f): f for module in modules for f in vars(module).values() if hasattr(f, "inspect_asm")}
@@ -213,7 +213,7 @@ def machine_code() -> dict[str, dict[str, list[str]]]:
     return found
 
 
-# The tests -----------------------------------------------------------------------------------------------------------
+# The tests ------------------------------------------------------------------------------------------------------------
 
 promised = pytest.mark.skipif(
     platform.machine() != "x86_64" or not {"AVX2", "FMA"} <= glibc_features(),
@@ -235,7 +235,7 @@ def environment(limit: Limit, cache: Path) -> dict[str, str]:
 
 
 def child(limit: Limit, cache: Path) -> dict[str, Any]:
-    """The report of a process within the limit, after its limits were seen to hold."""
+    """The report of a limited process, after a check that its limits took effect."""
     command = [sys.executable, __file__]
     done = subprocess.run(
         command, env=environment(limit, cache), capture_output=True, text=True, timeout=900, check=False
@@ -252,7 +252,7 @@ def child(limit: Limit, cache: Path) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where machine code is kept: none from before, which could not be looked into."""
+    """An empty folder for machine code, because cached code cannot be inspected."""
     return tmp_path_factory.mktemp("numba")
 
 
@@ -271,7 +271,7 @@ def golden() -> dict[str, str]:
 
 
 def test_the_digests_are_of_the_golden_files() -> None:
-    """What `test_frozen` holds to and what is held here is the same play."""
+    """`test_frozen` and this module take the same steps."""
     record = json.loads((GOLDEN / "v1.json").read_text())
     for task in TASKS:
         assert golden()[f"golden motion {task}"] == digest(json.dumps(record["positions"][task]).encode())
@@ -295,9 +295,9 @@ def test_one_with_sse_plays_the_same(sse: dict[str, Any]) -> None:
 
 
 @promised
-@pytest.mark.usefixtures("sse")  # it has compiled the code
+@pytest.mark.usefixtures("sse")  # so that the code is compiled
 def test_the_promise_ends_at_the_c_librarys_sine(cache: Path) -> None:
-    """Without FMA its last bit is now and then another, and MuJoCo turns things by it; all else is the same."""
+    """Without FMA, the last bit of sine sometimes differs, and MuJoCo rotates with sine; all else is equal."""
     report = child(ALL_SSE, cache)
     assert report["facts"]["sines"] != facts()["sines"]
     assert {name: value for name, value in report["played"].items() if "long" not in name} == {
@@ -307,7 +307,7 @@ def test_the_promise_ends_at_the_c_librarys_sine(cache: Path) -> None:
 
 @promised
 def test_compiled_code_fuses_nothing(avx2: dict[str, Any], sse: dict[str, Any]) -> None:
-    """It was compiled for a processor that could: a fused multiply-add rounds once, where others round twice."""
+    """It was compiled for a processor with FMA: a fused multiply-add rounds once, separate operations round twice."""
     for report, widest in ((avx2, "ymm"), (sse, "xmm")):
         code = report["code"]
         assert {"play", "read_states", "draw", "play_and_draw"} <= {name.split("(")[0] for name in code}
@@ -315,7 +315,7 @@ def test_compiled_code_fuses_nothing(avx2: dict[str, Any], sse: dict[str, Any]) 
             assert not [word for word in what["instructions"] if _FUSED.match(word)], name
             assert all(register <= widest for register in what["registers"]), name
     vector = {word for what in avx2["code"].values() for word in what["instructions"]}
-    assert {"vmulsd", "vaddsd"} <= vector  # or there was no code to look at
+    assert {"vmulsd", "vaddsd"} <= vector  # otherwise there was no code to inspect
     assert "mulsd" in {word for what in sse["code"].values() for word in what["instructions"]}
 
 

@@ -1,4 +1,4 @@
-"""The paper's `puzzle_config`: every key does what it says, and what cannot be is refused by name, at once."""
+"""The paper's `puzzle_config`: the effect of every key, and refusals of impossible values."""
 
 import re
 from pathlib import Path

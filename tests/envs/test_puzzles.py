@@ -39,7 +39,7 @@ def cells_of(puzzle: Puzzle, *kinds: str) -> list[tuple[int, int]]:
 
 
 def assert_well_laid(puzzle: Puzzle) -> None:
-    """The rules, from the drawn record alone; the rectangles' cells are worked out anew."""
+    """Check the rules from the drawn record, with an independent computation of rectangles' cells."""
     cells: list[tuple[int, int]] = []
     for item in puzzle.objects:
         reach = (-1, 0, 1) if item.kind == "rectangle" else (0,)
@@ -57,7 +57,7 @@ def assert_well_laid(puzzle: Puzzle) -> None:
         centre = (puzzle.pen.row, puzzle.pen.column)
         rings = [max(abs(i - centre[0]), abs(j - centre[1])) for i, j in cells]
         assert 2 not in rings
-        assert rings[0] == 1  # the agent comes first, inside and off the ramp's foot
+        assert rings[0] == 1  # the agent is first in the list, and is inside, not on the ramp's foot
 
 
 @settings(max_examples=60)
@@ -180,7 +180,7 @@ def test_a_generator_that_meets_a_fixed_layout_draws_again(monkeypatch: pytest.M
 
 
 def test_fixed_layouts_are_drawn_again_as_they_were() -> None:
-    """The seeds that made the sets lead a training draw to a layout of the sets, which it then leaves out."""
+    """With the seeds that made the sets, a training draw finds a layout of the sets, and excludes it."""
     rng = seeding.generator(SEED, "validation-puzzles", "tool-use")
     assert generators.draw_layout("tool-use", rng) == puzzle_by_id("tool-use/validation/000")
     rng = seeding.generator(SEED, "validation-puzzles", "tool-use")
@@ -272,7 +272,7 @@ def test_fixed_cells_are_kept(
 
 
 def test_draws_of_version_1_have_not_changed() -> None:
-    """The default pipeline's pool of puzzles, and the training puzzles: SHA-256 over the digests of 200 draws each."""
+    """SHA-256 over the digests of 200 draws each: the default pipeline's pool, and training puzzles."""
     first = {"sandbox": "3bc7fa341bf6c795", "tool-use": "3fa8a9967b85b648", "avoidance": "fb5fa193bb71c971"}
     for task, expected in first.items():
         rng = np.random.default_rng(3)

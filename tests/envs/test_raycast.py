@@ -1,4 +1,4 @@
-"""The ray caster against closed forms and brute force over all pixels."""
+"""Compare the ray caster with closed forms, and with brute force over all pixels."""
 
 import os
 import tempfile
@@ -68,7 +68,7 @@ def test_objects_are_seen_where_they_are(cell: tuple[int, int]) -> None:
         assert 4 <= seen.sum() <= 60
         point = np.array([*c.cell_centre(*cell), c.RADIUS])
         assert np.abs(centre_of(seen) - on_screen(point)).max() < 1
-        # It is drawn in its own colour, lit between the even light alone and both lights.
+        # It has its own colour, with a brightness between the ambient light only and both lights.
         pixels = world.observe()[seen].astype(float) / np.array(c.COLOUR[kind])
         assert (pixels.max(axis=0) <= c.LIGHT_AMBIENT + c.LIGHT_DIFFUSE + 0.05).all()
         assert (pixels.min(axis=0) >= c.LIGHT_AMBIENT - 0.05).all()
@@ -97,7 +97,7 @@ def random_shapes(rng: np.random.Generator, count: int) -> Shapes:
 
 
 def brute_depth(shapes: Shapes, i: int) -> np.ndarray:
-    """Depth of one shape at every pixel, by numpy formulas that share nothing with the ray caster."""
+    """Depth of one shape at every pixel, by NumPy formulas that are independent of the ray caster."""
     camera = observation_camera()
     rays = camera.rays
     start = camera.position - shapes.position[i]
@@ -109,7 +109,7 @@ def brute_depth(shapes: Shapes, i: int) -> np.ndarray:
     local_start, local_rays = shapes.rotation[i].T @ start, rays @ shapes.rotation[i]
     depth = np.full(rays.shape[:2], np.inf)
     for axis in range(3):
-        for side in (-1, 1):  # the rays' crossings of each face's plane that lie on the face
+        for side in (-1, 1):  # intersections of rays with each face's plane that are on the face
             t = (side * shapes.size[i, axis] - local_start[axis]) / local_rays[..., axis]
             others = [k for k in range(3) if k != axis]
             crossing = local_start + t[..., None] * local_rays
@@ -131,7 +131,7 @@ def test_rectangles_cut_nothing_off(seed: int) -> None:
 
 
 def test_parts_are_placed_as_mujoco_places_them() -> None:
-    """A part's pose on its carrier's: the same as a geom's on its body."""
+    """A part's pose on its carrier is like a geom's pose on its body."""
     rng = np.random.default_rng(0)
     poses, places = rng.normal(size=(2, 20, 7))
     for each in (poses, places):
@@ -161,7 +161,7 @@ def test_shading_is_lamberts() -> None:
     image = empty_image(c.IMAGE_SIZE)
     paint(shapes, NO_TRIANGLES, observation_camera(), image)
     light = -np.array(c.LIGHT_DIRECTION) / np.linalg.norm(c.LIGHT_DIRECTION)
-    facing = (light[2], -light[1], -light[0])  # top, front and left side: what this camera sees
+    facing = (light[2], -light[1], -light[0])  # top, front and left side, which this camera sees
     expected = sorted(round(200 * (c.LIGHT_AMBIENT + c.LIGHT_DIFFUSE * max(cosine, 0.0))) for cosine in facing)
     np.testing.assert_allclose(np.unique(image.rgb[image.label == 0]), expected, atol=1)
 
@@ -175,7 +175,7 @@ def test_goals_show_that_they_were_hit_only_if_told_to() -> None:
         pixels = world.observe()[world.segmentation() == world.model.geom("yellow_0").id]
         red, blue = pixels[:, 0].mean(), pixels[:, 2].mean()
         assert (blue > red) == recolour
-        # Back to a state from before the touch, the goal is yellow again.
+        # In a restored state from before the touch, the goal is yellow.
         before = World()
         before.load(puzzle)
         world.restore_state(before.save_state())
@@ -226,7 +226,7 @@ def test_without_a_cache_folder_it_still_compiles(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     assert jit.compiled(next_number)(2) == 3
     (own,) = tmp_path.iterdir()
-    assert own.stat().st_mode & 0o077 == 0  # what is read from it is executed
+    assert own.stat().st_mode & 0o077 == 0  # files from it are executed
     assert list(own.rglob("*.nbc"))
 
 

@@ -1,4 +1,4 @@
-"""The handsome look: what it must show, and what it must not."""
+"""The handsome look: visible and invisible things."""
 
 import ctypes
 import os
@@ -27,13 +27,13 @@ def hues(picture: np.ndarray) -> np.ndarray:
 
 
 def pixels_of(picture: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:
-    """(H, W) bool: where the picture is lit matt in this colour."""
+    """(H, W) bool: pixels with this colour, without gloss."""
     wanted = np.array(colour) / np.linalg.norm(colour)
     return (hues(picture) @ wanted > 0.995) & (picture.max(axis=2) > 40)
 
 
 def grown(mask: np.ndarray) -> np.ndarray:
-    """The mask and the pixels beside it."""
+    """The mask and its neighbouring pixels."""
     return np.any([np.roll(mask, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)], axis=0)
 
 
@@ -52,7 +52,7 @@ def test_from_the_observations_camera_both_looks_agree_on_what_is_where() -> Non
             for name in ("agent", "yellow_0"):
                 seen = label == world.model.geom(name).id
                 there = pixels_of(picture, c.COLOUR[name.split("_")[0]])
-                # The gloss is white, and the rim is mixed with what lies behind.
+                # Gloss is white, and edge pixels are mixed with the background.
                 assert (seen & there).sum() > 0.5 * seen.sum(), name
                 assert not (there & ~grown(seen)).any(), name
 
@@ -66,7 +66,7 @@ def test_shadow_gloss_and_cloth_are_there() -> None:
         table = pixels_of(picture, c.SCENERY_COLOUR["table"])
         assert table.mean() > 0.15
         bright = picture.max(axis=2)[table].astype(float)
-        assert bright.std() > 2  # cloth, not one flat green
+        assert bright.std() > 2  # cloth, not one uniform green
         assert (bright < 0.6 * np.median(bright)).sum() > 20  # the agent's and the walls' shadows
         red = picture[pixels_of(picture, c.COLOUR["agent"])]
         assert np.ptp(red.max(axis=1)) > 60  # round and glossy
@@ -85,7 +85,7 @@ def test_a_goal_shows_its_hit_and_parked_things_never() -> None:
             assert pixels_of(before, c.COLOUR["yellow"]).sum() > 20
             assert pixels_of(after, colour).sum() > 20
             assert pixels_of(after, c.COLOUR["yellow"]).any() == (not recolour)
-    # Seen from the north: what is parked lies beyond the table, but is not drawn.
+    # A camera in the north points at parked objects behind the table, which are not drawn.
     back = WorldOptions(camera=CameraOptions(position=(0, 2.5, 3.0), direction=(20, 180, 0)))
     world = World(back)
     world.load(puzzle)
@@ -102,7 +102,7 @@ def test_what_nobody_is_to_see_is_not_drawn() -> None:
     unseen = [i for i in range(world.model.ngeom) if world.model.geom_group[i] >= 3]
     assert {"wall_north", "lid"} <= {world.model.geom(i).name for i in unseen}
     with Renderer(world.options, (256, 256)) as renderer:
-        # Were the tall walls or the lid drawn, they would hide the agent and the pen from above the table's south.
+        # If the tall walls or the lid were drawn, they would hide the agent and the pen from a camera in the south.
         picture = renderer.render(world)
         assert pixels_of(picture, c.COLOUR["agent"]).sum() > 20
         assert pixels_of(picture, c.SCENERY_COLOUR["table"]).mean() > 0.15
@@ -129,7 +129,7 @@ def test_without_opengl_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch)
 
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     monkeypatch.setattr(ctypes, "CDLL", missing)
-    backend.check_backend()  # nothing is asked for: the physics needs none
+    backend.check_backend()  # MUJOCO_GL is not set: physics needs no OpenGL
     assert backend.find_backend() is None
     with pytest.raises(backend.OpenGLError, match="apt-get install libegl1 libopengl0 libgl1-mesa-dri") as caught:
         gl.open_renderer(build_model(WorldOptions()), 64, 64)

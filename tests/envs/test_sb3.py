@@ -1,4 +1,4 @@
-"""Stable-Baselines3's PPO, as it comes, on our environments as they are."""
+"""Stable-Baselines3's unchanged PPO on our unchanged environments."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -20,7 +20,7 @@ BUDGET = 100
 
 @pytest.fixture(autouse=True)
 def one_thread() -> Iterator[None]:
-    """Beside other work, torch's own threads wait for one another."""
+    """With other load on the machine, torch's threads wait for one another."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     yield
@@ -28,7 +28,7 @@ def one_thread() -> Iterator[None]:
 
 
 class Positions(gymnasium.ObservationWrapper[np.ndarray, np.int64, dict[str, np.ndarray]]):
-    """Where everything on the table is, seen from the agent, in cells: what a learner without eyes needs."""
+    """Positions of all objects on the table, relative to the agent, in cells: enough to learn without images."""
 
     def __init__(self, env: gymnasium.Env[dict[str, np.ndarray], np.int64]) -> None:
         super().__init__(env)

@@ -1,4 +1,4 @@
-"""The compiled step against a plain loop of `mujoco.mj_step` over MuJoCo's own Python views."""
+"""Compare the compiled step with a plain loop of `mujoco.mj_step` over MuJoCo's own Python views."""
 
 import math
 import threading
@@ -21,7 +21,7 @@ ALL_TASKS: tuple[Task, ...] = ("sandbox", *TASKS)
 
 
 class PlainWorld:
-    """A world's copy that steps in Python alone, one substep after the other."""
+    """A copy of a world that steps only in Python, one substep at a time."""
 
     def __init__(self, world: World) -> None:
         self.model = world.model
@@ -106,7 +106,7 @@ def test_a_step_is_a_plain_loop_bit_for_bit(task: Task) -> None:
             np.testing.assert_array_equal(world.object_state(), plain.object_state())
             hits, contacts = hits + len(outcome.hits), contacts + len(outcome.contacts)
             danger += outcome.in_danger
-    # Or there was little to compare.
+    # Otherwise there was little to compare.
     assert contacts > 50
     assert hits or task == "tool-use"
     assert danger or task != "avoidance"
@@ -115,7 +115,7 @@ def test_a_step_is_a_plain_loop_bit_for_bit(task: Task) -> None:
 def test_time_passes_without_an_action() -> None:
     world = World()
     world.load(sample_puzzle("preferences", np.random.default_rng(1)))
-    world.data.qvel[6:8] = 1.5, 1  # the yellow sphere rolls, into whatever is there
+    world.data.qvel[6:8] = 1.5, 1  # the yellow sphere rolls into other objects
     plain = PlainWorld(world)
     for substeps in (1, 7, 0, 100):
         before = world.data.time
@@ -129,7 +129,7 @@ def test_time_passes_without_an_action() -> None:
 
 @pytest.mark.skipif(not hasattr(time, "pthread_getcpuclockid"), reason="needs the clock of another thread")
 def test_other_threads_run_while_time_passes() -> None:
-    """One of them finds that ours has had some of the processor's time for it, and not yet all."""
+    """Another thread runs when this thread has used some of its processor time, and not yet all."""
     world, over = World(), threading.Event()
     world.load(sample_puzzle("goal-seeking", np.random.default_rng(0)))
     ours, found = time.pthread_getcpuclockid(threading.get_ident()), list[float]()
@@ -141,7 +141,7 @@ def test_other_threads_run_while_time_passes() -> None:
     other = threading.Thread(target=look)
     other.start()
     try:
-        while True:  # on a busy machine the other one may have to wait for its turn until we are done
+        while True:  # on a busy machine, the other thread may not run before this thread has finished
             start = time.thread_time()
             world.advance(20_000)
             end = time.thread_time()

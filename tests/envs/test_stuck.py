@@ -1,4 +1,4 @@
-"""Who is stuck: an agent that gets nowhere, objects in the corners; against the definition's own words."""
+"""Stuck agents and wedged objects, compared with the words of the definition."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ RECTANGLE = INVENTORY.index("rectangle_0")
 
 
 def states(**where: tuple[float, float]) -> np.ndarray:
-    """All objects parked but those named, which are at (x, y), upright."""
+    """States with all objects parked except the named ones, which are upright at (x, y)."""
     made = np.zeros((len(INVENTORY), 13))
     made[:, 1], made[:, 3] = -30, 1
     for name, place in where.items():
@@ -44,7 +44,7 @@ def test_an_agent_that_gets_nowhere_is_stuck_until_it_gets_away() -> None:
 @settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.001, 0.003, 0.005, 0.02]))
 def test_stuck_means_32_pushes_close_together(seed: int, pace: float) -> None:
-    """Sound: whoever is stuck was within 4 cm for 32 pushes. Complete: whoever is within 1 cm for 64 is stuck then."""
+    """Sound: a stuck agent was within 4 cm for 32 pushes. Complete: an agent within 1 cm for 64 pushes is stuck."""
     path = np.cumsum(np.random.default_rng(seed).normal(0, pace, (200, 2)), axis=0)
     one, held = watch(), []
     for step, (x, y) in enumerate(path):
@@ -71,7 +71,7 @@ def test_an_agent_that_pushes_into_a_wall_is_not_stuck_since_it_bounces_off_it()
 
 @given(st.floats(0, WALL_X - 0.05), st.floats(0, WALL_Y - 0.05), st.sampled_from([1, -1]), st.sampled_from([1, -1]))
 def test_a_corner_is_where_the_agent_does_not_fit_behind(x: float, y: float, sx: int, sy: int) -> None:
-    """The agent is 0.1 wide, like whatever is not a rectangle; it fits neither beside nor behind in a corner."""
+    """The agent is 0.1 wide, like all objects except rectangles; it fits into neither gap in a corner."""
     there = WALL_X - x - 0.05 < 0.1 and WALL_Y - y - 0.05 < 0.1
     assert in_corner(states(light_0=(sx * x, sy * y), agent=(0.6, 1.0))) == (["light_0"] if there else [])
 

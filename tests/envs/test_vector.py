@@ -1,4 +1,4 @@
-"""N worlds at once: the same as N environments in gymnasium's own vector environment, whatever the threads do."""
+"""N worlds give the same as N environments in Gymnasium's own vector environment, with any timing of threads."""
 
 from typing import Any
 
@@ -28,7 +28,7 @@ def assert_same(ours: Any, theirs: Any) -> None:
 
 
 def towards_a_goal(env: OpenEnv) -> int:
-    """The move straight to the first goal that was not hit."""
+    """The move straight towards the first goal that was not hit."""
     world = env.world
     goals = [i for i, name in enumerate(world.inventory) if name.startswith(("yellow", "green")) and world.present[i]]
     aim = next((i for i in goals if not world.stepper.hit[i]), 0)
@@ -55,7 +55,7 @@ def test_worlds_are_as_in_gymnasiums_vector_environment(task: Task, mode: Autore
     assert_same(ours.reset(seed=7), theirs.reset(seed=7))
     ended, hits, paid = np.zeros(2, int), 0, 0.0
     for step in range(230 if task == "tool-use" else 130):
-        # Half of the worlds play to win, the others so that the budget runs out.
+        # Half of the worlds move to their goals, the others use up the budget.
         actions = np.array([towards_a_goal(env) if i % 2 else 0 for i, env in enumerate(ours.envs)])
         actions = np.where(rng.random(N) < 0.2, rng.integers(0, 9, N), actions)
         played = ours.step(actions)
@@ -72,7 +72,7 @@ def test_worlds_are_as_in_gymnasiums_vector_environment(task: Task, mode: Autore
             _, expected = theirs.reset(options={"reset_mask": mask})
             for name, values in infos.items():
                 assert_same(values[mask], expected[name][mask])
-    # Or there was little to compare.
+    # Otherwise there was little to compare.
     assert hits if task == "sandbox" else paid or task == "tool-use"
     assert ended[0] or task in ("sandbox", "tool-use")
     assert ended[1] or task == "sandbox"

@@ -1,4 +1,4 @@
-"""Every fixed puzzle can be solved: its witness is replayed; and the report that a person sees."""
+"""Every fixed puzzle can be solved, by a replay of its witness; and the report for people."""
 
 import itertools
 from pathlib import Path
@@ -29,7 +29,7 @@ def printed(what: RenderableType) -> str:
 
 @pytest.mark.parametrize("task", TASKS)
 def test_every_witness_earns_the_whole_return(task: Task) -> None:
-    """In the environment that policies play in."""
+    """In the environment that policies use."""
     env = OpenEnv(task)
     for split in SPLITS:
         for puzzle, witness in zip(puzzles_of(task, split), witnesses_of(task, split), strict=True):
@@ -114,7 +114,7 @@ def test_the_map_shows_every_thing_on_its_cell() -> None:
 
 
 def test_no_pen_is_left_without_its_ramp() -> None:
-    """Not even by a planner that may try everything: each way out of a pen leads over the ramp."""
+    """Even a planner that may try all actions leaves a pen only over the ramp."""
     world = World()
     for split in SPLITS:
         for puzzle, witness in zip(puzzles_of("tool-use", split), witnesses_of("tool-use", split), strict=True):

@@ -1,4 +1,4 @@
-"""The physics: moves, pushes, bounces, friction, ramp and walls, against closed forms; exact save and restore."""
+"""The physics (moves, pushes, bounces, friction, ramp, walls) compared with closed forms; exact save and restore."""
 
 import copy
 import pickle
@@ -70,7 +70,7 @@ def test_a_no_op_lets_no_time_pass() -> None:
     for _ in range(2):
         world.step(NORTH)
     state = world.save_state()
-    assert np.linalg.norm(speed(world, "light_0")) > 1  # something is on its way
+    assert np.linalg.norm(speed(world, "light_0")) > 1  # an object is moving
     world.step(0)
     np.testing.assert_array_equal(world.save_state(), state)
 
@@ -105,7 +105,7 @@ def test_a_sliding_cube_brakes_by_coulombs_law(kind: str, start: float) -> None:
     before = position(world, f"{kind}_0")
     set_speed(world, f"{kind}_0", (0, start, 0))
     run(world, 2)
-    # v²/2µg, and the brake's last stretch from µg/b on, where it is no longer sliding friction but b·speed.
+    # v²/2µg, and the last distance, from the speed µg/b on, where the brake is b·speed instead of sliding friction.
     friction, brake = 0.35 * 9.81, 10.0
     slow = friction / brake
     expected = (start**2 - slow**2) / (2 * friction) + slow / brake
@@ -131,7 +131,7 @@ def test_a_goal_rolls_without_slipping_and_comes_to_rest() -> None:
     set_speed(world, "yellow_0", (0, 1, 0))
     run(world, 0.8)
     state = world.object_state()[m.INVENTORY.index("yellow_0")]
-    # From sliding to rolling a ball keeps 5/7 of its speed; rolling costs it a little more.
+    # From sliding to rolling, a ball keeps 5/7 of its speed, and rolling costs a little more.
     assert 0.3 < state[8] < 5 / 7
     assert state[10] == pytest.approx(-state[8] / c.RADIUS, rel=0.04)  # turning forward about −x
     run(world, 6)
@@ -139,7 +139,7 @@ def test_a_goal_rolls_without_slipping_and_comes_to_rest() -> None:
 
 
 def bounce(world: World, name: str, start: float) -> float:
-    """Speed away from the wall over the speed towards it, of a body sent east."""
+    """Ratio of the speeds away from the wall and towards it, for a body that moves east."""
     set_speed(world, name, (start, 0, 0))
     wall = world.model.geom("wall_east").id
     before, touched = start, False
@@ -171,7 +171,7 @@ def test_a_hit_keeps_momentum_and_never_makes_energy(kind: str) -> None:
     world = loaded(("agent", 8, 3), (kind, 8, 5))
     set_speed(world, "agent", (3.5, 0, 0))
     masses = {"agent": 7.0, f"{kind}_0": c.MASS[kind]}
-    for _ in range(16):  # past the contact; friction with the table takes a little
+    for _ in range(16):  # until after the contact; friction with the table removes a little
         run(world, c.TIMESTEP_S)
     speeds = {name: speed(world, name)[0] for name in masses}
     assert speeds[f"{kind}_0"] > 0.1
@@ -184,14 +184,14 @@ def test_hits_are_reported_once_and_seen_between_frames() -> None:
     first = world.step(EAST)
     assert first.hits == ("yellow_0",)
     assert world.step(EAST).hits == ()
-    # The ball has been knocked away by the end of the step: only the substeps saw the touch.
+    # At the end of the step, the ball is already away: the touch was only within the substeps.
     assert position(world, "yellow_0")[0] - position(world, "agent")[0] > 2 * c.RADIUS
     (contact,) = first.contacts
     assert {contact.a, contact.b} == {"agent", "yellow_0"}
     sign = 1 if contact.a == "agent" else -1
     assert sign * contact.normal[0] == pytest.approx(1, abs=1e-3)
     assert position(loaded(("agent", 8, 3)), "agent")[0] < contact.position[0] < position(world, "yellow_0")[0]
-    # The impulse is what changed the ball's momentum, but for what the table's friction took within 0.04 s.
+    # The impulse is the change of the ball's momentum, apart from the table's friction within 0.04 s.
     world = loaded(("agent", 8, 3), ("yellow", 8, 4))
     impulse = sum(item.impulse for item in world.step(EAST).contacts)
     assert impulse == pytest.approx(c.MASS["yellow"] * speed(world, "yellow_0")[0], rel=0.06)
@@ -207,7 +207,7 @@ def test_contacts_name_walls_and_leave_out_the_table() -> None:
 def test_danger_is_the_patch_and_is_seen_in_passing() -> None:
     world = loaded(("agent", 12, 4), patch=Patch(9, 4))
     assert not world.step(0).in_danger
-    assert not world.step(NORTH).in_danger  # 2 cells off the centre: 0.28 m
+    assert not world.step(NORTH).in_danger  # 2 cells from the centre: 0.28 m
     assert world.step(NORTH).in_danger
     # A move that cuts the patch's corner begins and ends outside.
     world.load(world.puzzle)
@@ -224,7 +224,7 @@ def test_the_ramp_leads_out_of_the_pen(side: Side) -> None:
     world = loaded(("agent", 8 - i, 4 - j), pen=Pen(8, 4, side))
     for _ in range(5):
         world.step(TOWARDS[side])
-    for action in (EAST, WEST) * 3 if i else (NORTH, SOUTH) * 3:  # to and fro, until it has fallen to the table
+    for action in (EAST, WEST) * 3 if i else (NORTH, SOUTH) * 3:  # back and forth, until it has fallen to the table
         world.step(action)
     away = position(world, "agent")[:2] - c.cell_centre(8, 4)
     assert away @ (j, -i) > c.PEN_HALF
@@ -370,7 +370,7 @@ def test_a_damaged_state_is_refused() -> None:
 
 
 def test_sleepers_that_do_not_point_in_rings_are_refused() -> None:
-    """MuJoCo ends the process when it wakes one whose ring does not close."""
+    """MuJoCo ends the process when it wakes a body whose ring is not closed."""
     world = loaded(("agent", 2, 2), ("heavy", 4, 4), ("light", 8, 8))
     saved = world.save_state()
     n = len(world.inventory)
@@ -388,5 +388,5 @@ def test_sleepers_that_do_not_point_in_rings_are_refused() -> None:
         with pytest.raises(ArtefactError, match="rings"):
             world.restore_state(damaged)
     two = saved.copy()
-    two[first + 1 : first + 3] = 2, 1  # of two that touch, each points to the other
+    two[first + 1 : first + 3] = 2, 1  # two bodies in contact point to each other
     world.restore_state(two)

@@ -1,4 +1,4 @@
-"""What works where only a part of the packages is installed, and that the lists of packages agree with one another."""
+"""Behaviour with only some packages installed, and agreement of the lists of packages."""
 
 import ast
 import json
@@ -29,7 +29,7 @@ UNDECLARED = {"llvmlite", "cryptography", "sigstore_models", "markupsafe", "_typ
 
 
 def requirements(extra: str | None) -> dict[str, Requirement]:
-    """What the metadata asks for, by name, other extras of gym-open left out."""
+    """Requirements in the metadata, by name, without other extras of gym-open."""
     project = PROJECT["project"]
     lines = project["dependencies"] if extra is None else project["optional-dependencies"][extra]
     found = {canonicalize_name(one.name): one for one in map(Requirement, lines)}
@@ -56,7 +56,7 @@ sys.meta_path[:] = [Hidden(finder) for finder in sys.meta_path]
 
 
 def without(*modules: str, code: str) -> subprocess.CompletedProcess[str]:
-    """Runs code where these modules are not to be found."""
+    """Runs code in a process that cannot find these modules."""
     return python(HIDE.format(sorted(modules)) + code)
 
 
@@ -121,7 +121,7 @@ print(json.dumps(said))
 
 
 def test_an_option_that_needs_more_says_so(tmp_path: Path) -> None:
-    """`viz` makes films without Rerun, and a window with it."""
+    """`viz` needs Rerun for a window, but not for films."""
     code = f"""
 from gym_open.cli import main
 from gym_open.viz.config import VizConfig
@@ -157,7 +157,7 @@ def test_what_is_checked_for_is_what_is_declared() -> None:
     names = packages_distributions()
     for extra, modules in extras.MODULES.items():
         if extra == "lerobot" and "lerobot" not in names:
-            continue  # it may live in an environment of its own
+            continue  # it may have an environment of its own
         of = {canonicalize_name(one) for module in modules for one in names[module]}
         assert set(requirements(extra)) <= of, extra
     assert set(extras.MODULES) | {"all"} == set(PROJECT["project"]["optional-dependencies"])
@@ -179,7 +179,7 @@ def test_everything_that_is_imported_is_declared() -> None:
 
 
 def pins(text: str) -> list[Requirement]:
-    """The lines `name==version ; marker` of a requirements file, hashes left out."""
+    """The lines `name==version ; marker` of a requirements file, without hashes."""
     return [Requirement(line.rstrip("\\ ")) for line in text.splitlines() if line and line[0] not in " #"]
 
 

@@ -1,4 +1,4 @@
-"""The wheel in empty environments, as other people have it: without a compiler, without this repository's overrides."""
+"""The wheel in new environments, as users install it: without a compiler, without this repository's overrides."""
 
 import os
 import sys
@@ -44,7 +44,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def install(tmp_path: Path) -> Install:
-    """`install("a", "b>=1")` gives the Python of a fresh environment with these and what they ask for: wheels only."""
+    """`install("a", "b>=1")` returns the Python of a new environment with these packages, from wheels only."""
     place = tmp_path / "environment"
     at = ["--python", place / "bin/python"]
 
@@ -127,10 +127,10 @@ def test_everything_installs_beside_the_newest_torch_and_numpy(wheel: Path, inst
 def test_lerobot_as_its_makers_declare_it_reads_a_release(
     install: Install, make_log: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In an environment of its own, where gym-open is not. 0.4.4 wants pynput, which would be compiled."""
+    """In an environment of its own, without gym-open. 0.4.4 needs pynput, which would have to be compiled."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]["lerobot"]
     asked = [line for line in project if (found := Requirement(line)).name == "lerobot" and found.marker]
-    # The torch of the oldest versions fits both, so that it is fetched once.
+    # The torch of the oldest versions fits both, so it is downloaded once.
     python = install(*asked, "torch==2.10.0", overrides="pynput ; sys_platform == 'never'\n")
     assert run([python, "-c", "import gym_open"], cwd=tmp_path).returncode == 1
     release = build_release(ReleaseConfig(val_fraction=0.34), [make_log()], tmp_path / "release").path

@@ -1,4 +1,4 @@
-"""A server in this process, and clients of it."""
+"""A server in this process, and its clients."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -19,7 +19,7 @@ def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="session")
 def client() -> Client:
-    """Makes an environment that is on the server at a port. What waits until a deadline of its hangs."""
+    """Makes an environment on the server at a port. A call that reaches its deadline hangs."""
 
     def make(port: int, **changes: Any) -> Any:
         given = {"env_ip": "127.0.0.1", "self_ip": "localhost", "port": port, "deadline_s": HANG_S}
@@ -30,7 +30,7 @@ def client() -> Client:
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[Server]:
-    """Two places, in a thread of this process."""
+    """A server for two clients, in a thread of this process."""
     with Server("127.0.0.1", 0, None, clients=2) as started:
         yield started
 

@@ -1,4 +1,4 @@
-"""Messages that are none, too big, too deep, or of another version: each is refused, and the session plays on."""
+"""Bytes that are no message, and messages too big, too deep, or of another version, are refused; the session goes on."""
 
 import contextlib
 from collections.abc import Callable
@@ -22,7 +22,7 @@ TOKEN = "correct-horse-battery-staple"
 
 
 def raw(port: int, body: bytes, method: str = f"/{p.SERVICE}/{p.METHOD}", **options: Any) -> bytes:
-    """Send bytes as they are, past the client."""
+    """Send bytes without the client's checks."""
     with grpc.insecure_channel(f"127.0.0.1:{port}", [("grpc.max_send_message_length", -1)]) as channel:
         return channel.unary_unary(method)(body, timeout=HANG_S, **options)
 
@@ -169,8 +169,8 @@ def test_a_token_is_needed_where_there_is_one(client: Client, monkeypatch: pytes
         env.add_change_puzzle(1, 1)
         env.step(1)
         monkeypatch.delenv(p.TOKEN_VARIABLE)
-        env.step(1)  # it keeps the one it was made with
+        env.step(1)  # it keeps its first token
         session = env._session._session
         code, _ = refused_with(server.port, p.encode(p.Request(session, p.Step(1))))
-        assert code is grpc.StatusCode.UNAUTHENTICATED  # a session's name is not enough
+        assert code is grpc.StatusCode.UNAUTHENTICATED  # the session's name is not enough
         env.close()

@@ -1,4 +1,4 @@
-"""A world on a server: the same bits as in this process, and an answer to each way in which it can go wrong."""
+"""A world on a server: the same bits as in this process, and an error for each kind of failure."""
 
 import os
 import re
@@ -29,7 +29,7 @@ TOKEN = "correct-horse-battery-staple"
 
 
 class Served(NamedTuple):
-    """`serve` in a process of its own."""
+    """`serve` in another process."""
 
     process: subprocess.Popen[str]
     greeting: str
@@ -102,7 +102,7 @@ def test_an_error_is_the_same_near_and_far(env: Any, call: Any, kind: type[GymOp
         with pytest.raises(GymOpenError) as caught:
             call(one)
         said.append((type(caught.value), str(caught.value)))
-        one.step(1)  # plays on
+        one.step(1)  # goes on
     assert said[0] == said[1]
     assert said[0][0] is kind
 
@@ -126,7 +126,7 @@ def test_each_client_has_a_world_of_its_own_until_the_places_are_taken(client: C
 
 
 def test_clients_play_side_by_side(client: Client, server: Server) -> None:
-    """Two threads at once get what each would have got alone."""
+    """Two threads at the same time get the same results as one after the other."""
 
     def played(seed: int, out: dict[int, Any]) -> None:
         env = client(server.port)
@@ -148,7 +148,7 @@ def test_clients_play_side_by_side(client: Client, server: Server) -> None:
 
 
 def test_more_clients_at_once_than_places_get_the_places_or_a_clear_no(client: Client, server: Server) -> None:
-    """Thirty at once are more than the calls that the server takes up at a time, too."""
+    """Thirty calls at a time are more than the server accepts."""
     got: list[Any] = []
 
     def ask(_: int) -> None:
@@ -234,7 +234,7 @@ def test_a_vanished_clients_place_is_freed(client: Client) -> None:
         gone.step(1)  # used again
         pass_time(40_000)
         with pytest.raises(UsageError, match="action"):
-            gone.step(9)  # a refused call is a use, too
+            gone.step(9)  # a refused call counts as a use
         pass_time(40_000)
         gone.step(1)
         pass_time(50_001)

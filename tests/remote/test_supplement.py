@@ -1,4 +1,4 @@
-"""The paper's interface: its listings run as printed, and each method does what it says."""
+"""The paper's interface: its listings run as printed, and each method has its documented effect."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -23,7 +23,7 @@ SANDBOX = {"main_sphere": 1, "main_sphere_i_j": [(8, 4)], "touch_sphere": 2, "cu
 def made(**changes: Any) -> Any:
     given = {"env_ip": "localhost", "self_ip": "localhost", "port": None, "debug": False}
     env = gymnasium.make("gym_open:open_puzzle_proc-v0", **{**given, **changes})
-    assert isinstance(env, OpenPuzzleEnv)  # bare: no wrapper hides its methods
+    assert isinstance(env, OpenPuzzleEnv)  # no wrapper hides its methods
     return env
 
 
@@ -36,7 +36,7 @@ def laid_out(task: int = 1, seed: int = 0, **changes: Any) -> Any:
 
 @pytest.fixture
 def seen(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """What `step` returns while a listing runs."""
+    """The return values of `step` while a listing runs."""
     results: list[Any] = []
     step = OpenPuzzleEnv.step
 
@@ -49,7 +49,7 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
 
 
 def listing(name: str, actions: Iterator[int], steps: int) -> Callable[..., None]:
-    """A listing with `gym` read as `gymnasium`, its loop given an action, and an end: its done, or so many steps."""
+    """Run a listing with `gymnasium` for `gym`, an action in its loop, and an end: done, or a number of steps."""
     text = (LISTINGS / f"{name}.txt").read_text()
     line = "obs, rewards, dones, debug = env.step(action)"
     assert text.count("gym.make(") == text.count(line) == 1
@@ -72,7 +72,7 @@ def test_the_sandbox_listing_runs_as_printed(seen: list[Any]) -> None:
         assert observation["image"].shape == (84, 84, 3)
         assert (reward, done) == (0.0, False)
         colours = sorted(item["color_id"] for item in observation["object_information"].values())
-        assert colours[2:] == [3, 6, 6, 8]  # agent, two touch spheres, one of high value; before them two cubes
+        assert colours[2:] == [3, 6, 6, 8]  # agent, two touch spheres, one high-value target; before them two cubes
         assert set(colours[:2]) <= {1, 2}
 
 
@@ -117,7 +117,7 @@ def test_pictures_come_when_they_are_asked_for() -> None:
 
 @pytest.mark.parametrize("number", [1, 2, 3, 4])
 def test_a_task_is_the_one_that_gymnasiums_id_plays(number: int) -> None:
-    """The same seed gives the same puzzle, pictures, rewards and end."""
+    """The same seed gives the same puzzle, images, rewards and end."""
     old, new = laid_out(number, seed=5), OpenEnv(TASKS[number - 1])
     old.set_observation(True)
     picture, _ = new.reset(seed=5)
@@ -157,7 +157,7 @@ def test_a_goal_pays_once_changes_its_colour_and_ends_the_episode() -> None:
     observation, reward, done, _ = solved(env)
     assert (reward, done) == (1.0, True)
     assert 7 in {item["color_id"] for item in observation["object_information"].values()}
-    assert env.step(0)[1:3] == (0.0, True)  # done stays, as the listings' loop needs it
+    assert env.step(0)[1:3] == (0.0, True)  # done stays True, which the listings' loop needs
     env.reset()
     assert env.step(0)[1:3] == (0.0, False)
 
@@ -214,7 +214,7 @@ def test_without_skip_frame_a_world_left_alone_goes_on_by_substeps() -> None:
         env.configure_env(False, action_space="full", skip_frame=True)
     moved = [env.step(0)[0]["object_information"][0]["position"][0] for _ in range(10)]
     assert moved[5] > moved[0]
-    assert moved[6] == pytest.approx(moved[9], abs=1e-6)  # the move is over after six more
+    assert moved[6] == pytest.approx(moved[9], abs=1e-6)  # the move ends after six more
 
 
 def test_debug_says_what_touched_what() -> None:
