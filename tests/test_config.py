@@ -47,7 +47,7 @@ def test_values_come_from_the_file_and_defaults_from_the_type(tmp_path: Path) ->
         ("budget = = 2", ["not valid TOML"]),
     ],
 )
-def test_what_is_wrong_is_named(tmp_path: Path, text: str, words: list[str]) -> None:
+def test_a_wrong_key_or_value_is_named(tmp_path: Path, text: str, words: list[str]) -> None:
     with pytest.raises(ConfigError) as caught:
         load(_write(tmp_path, text), Outer)
     for word in words:
@@ -74,7 +74,7 @@ def test_decode_is_the_inverse_of_to_dict() -> None:
     assert decode(to_dict(config), Outer, source="x") == config
 
 
-def test_a_text_of_another_form_is_told_which_in_words() -> None:
+def test_the_form_of_a_text_is_described_in_words() -> None:
     from gym_open.datasets.config import ReleaseConfig
 
     with pytest.raises(ConfigError, match=r"key `version`: expected three numbers, as 1\.0\.0, got '1\.0'"):

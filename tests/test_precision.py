@@ -64,7 +64,7 @@ def test_a_run_keeps_the_precision_in_which_it_began(
     assert "this run began in fp32; bf16 is faster here" in capsys.readouterr().err
 
 
-def test_who_asks_for_bf16_where_it_is_emulated_is_told(
+def test_a_request_for_emulated_bf16_prints_a_warning(
     tmp_path: Path, processor: Callable[[Precision], None], capsys: pytest.CaptureFixture[str]
 ) -> None:
     processor("fp32")

@@ -15,13 +15,13 @@ from tests.children import python, started
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[1, 2]", b'{"done": "much", "total": 1, "rate": 0}', b"\xff"])
-def test_a_file_that_says_nothing_is_no_error(content: bytes, tmp_path: Path) -> None:
+def test_an_unreadable_file_is_no_error(content: bytes, tmp_path: Path) -> None:
     assert Progressed.read(tmp_path / "none") is None
     (tmp_path / "some").write_bytes(content)
     assert Progressed.read(tmp_path / "some") is None
 
 
-def test_the_end_is_written_at_once_and_what_was_done_before_is_no_speed(
+def test_the_end_is_written_at_once_and_earlier_units_do_not_count_for_speed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now = [100.0]
@@ -61,7 +61,7 @@ class Clock:
         return self.now
 
 
-def test_lines_say_what_is_done_how_fast_and_how_long_it_still_takes() -> None:
+def test_lines_give_units_speed_and_remaining_time() -> None:
     said, clock = list[str](), Clock()
     lines = Lines("exploring", 20_480, write_line=said.append, clock=clock)
     lines.now()  # the speed is unknown yet
@@ -83,7 +83,7 @@ def test_lines_say_what_is_done_how_fast_and_how_long_it_still_takes() -> None:
     ]
 
 
-def test_what_was_done_before_is_said_and_no_speed() -> None:
+def test_earlier_units_are_written_and_do_not_count_for_speed() -> None:
     said, clock = list[str](), Clock()
     lines = Lines("work", 100, done=40, write_line=said.append, clock=clock)
     clock.now += 4
@@ -97,7 +97,7 @@ def test_what_was_done_before_is_said_and_no_speed() -> None:
     ]
 
 
-def test_work_of_no_units_divides_by_nothing() -> None:
+def test_work_without_units_does_not_divide_by_zero() -> None:
     said, clock = list[str](), Clock()
     lines = Lines("read", 0, write_line=said.append, clock=clock)
     lines.now()
@@ -105,7 +105,7 @@ def test_work_of_no_units_divides_by_nothing() -> None:
     assert said == ["read: 0 of 0", "read: 0 of 0 (0%)", "read: 0 of 0 in 0.0 s"]
 
 
-def test_what_cannot_be_counted_says_how_long_it_has_been_going_on() -> None:
+def test_work_without_a_count_gives_its_time_so_far() -> None:
     said, clock = list[str](), Clock()
     plain, why = (Waiting("probe", hint, write_line=said.append, clock=clock) for hint in ("", "it is large"))
     clock.now += 100
@@ -127,7 +127,7 @@ def test_speeds_are_short(rate: float, words: str) -> None:
 
 
 @pytest.mark.usefixtures("nothing_between")
-def test_where_there_is_no_terminal_work_is_told_in_lines(capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_a_terminal_progress_is_in_lines(capsys: pytest.CaptureFixture[str]) -> None:
     with doing("loading"), bar("work", 2) as shown:
         shown.advance(2, "done")
     before, start, end = capsys.readouterr().err.splitlines()
@@ -143,7 +143,7 @@ def test_after_an_error_no_line_says_that_work_has_ended(capsys: pytest.CaptureF
     assert capsys.readouterr().err == "work: 0 of 2\n"
 
 
-def test_who_wants_it_quiet_hears_nothing(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_quiet_progress_writes_nothing(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(progress.console, "quiet", True)
     with doing("loading"), bar("work", 2) as shown:
         shown.advance(2)
@@ -187,7 +187,7 @@ def test_a_pipe_gets_each_line_at_once_from_the_innermost_work(colour: dict[str,
         assert process.wait() == 0
 
 
-def test_who_stops_reading_does_not_stop_the_work() -> None:
+def test_work_goes_on_if_nobody_reads_standard_error() -> None:
     read, write = os.pipe()
     os.close(read)
     done = python("from gym_open.progress import bar\nwith bar('a', 1): print('worked')", stderr=write)

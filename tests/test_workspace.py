@@ -17,7 +17,7 @@ def test_init_makes_a_workspace_with_every_default_configuration(tmp_path: Path)
     assert not list((tmp_path / "w").rglob("*.py"))
 
 
-def test_init_never_touches_what_is_there(tmp_path: Path) -> None:
+def test_init_never_changes_existing_folders(tmp_path: Path) -> None:
     (tmp_path / "train").mkdir()
     with pytest.raises(UsageError, match="train: exists already"):
         workspace.init(tmp_path)

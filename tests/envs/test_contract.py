@@ -85,12 +85,12 @@ def test_gymnasiums_own_wrappers_find_nothing(task: Task, form: ObservationMode)
     env.close()
 
 
-def test_one_seed_one_course(task: Task, form: ObservationMode) -> None:
+def test_equal_seeds_give_equal_episodes(task: Task, form: ObservationMode) -> None:
     for one, other in zip(played(made(task, form), 11), played(made(task, form), 11), strict=True):
         assert data_equivalence(one, other, exact=True)
 
 
-def test_other_seeds_other_courses(task: Task) -> None:
+def test_other_seeds_give_other_episodes(task: Task) -> None:
     images = [next(played(made(task), seed))[0]["image"].tobytes() for seed in range(8)]
     assert len(set(images)) == 8
 
@@ -103,7 +103,7 @@ def test_resets_draw_new_training_puzzles(task: Task) -> None:
     assert env.puzzle.task == task
 
 
-def test_what_is_returned_is_of_the_spaces_and_types(task: Task, form: ObservationMode) -> None:
+def test_returned_values_fit_spaces_and_types(task: Task, form: ObservationMode) -> None:
     env = made(task, form)
     for observation, reward, terminated, truncated, info in played(env, 3):
         assert observation in env.observation_space
@@ -112,7 +112,7 @@ def test_what_is_returned_is_of_the_spaces_and_types(task: Task, form: Observati
         assert info.keys() == {"puzzle_digest", "object_state", "contacts", "hits", "in_danger"}
 
 
-def test_nothing_returned_shares_memory(task: Task, form: ObservationMode) -> None:
+def test_returned_arrays_share_no_memory(task: Task, form: ObservationMode) -> None:
     env = made(task, form)
     returned = [[*arrays(step[0]), *arrays(step[4])] for step in played(env, 5, steps=4)]
     assert all(len(found) == (4 if form == "dict" else 2) for found in returned)
@@ -175,7 +175,7 @@ def test_a_no_op_lets_no_time_pass(task: Task) -> None:
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_after_the_end_nothing_is_paid_and_the_end_stays(task: Task) -> None:
+def test_after_the_end_rewards_are_0_and_the_end_stays(task: Task) -> None:
     env = made(task, "image")
     env.reset(seed=0)
     for _ in range(step_budget(task)):
@@ -186,7 +186,7 @@ def test_after_the_end_nothing_is_paid_and_the_end_stays(task: Task) -> None:
     assert env.step(0)[1:4] == (0.0, False, False)
 
 
-def test_what_is_no_action_is_refused_and_changes_nothing(task: Task) -> None:
+def test_an_invalid_action_is_refused_and_changes_nothing(task: Task) -> None:
     env = made(task)
     with pytest.raises(PuzzleError, match="load a puzzle first"):
         env.step(0)

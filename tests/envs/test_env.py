@@ -57,7 +57,7 @@ def test_budgets_are_the_papers() -> None:
     }
 
 
-def test_the_sandbox_pays_nothing_and_never_ends() -> None:
+def test_the_sandbox_has_no_rewards_and_never_ends() -> None:
     env = made("sandbox")
     start = puzzle("sandbox", ("agent", 8, 3), ("yellow", 8, 4), patch=Patch(3, 4))
     steps = play(env, start, EAST, *[NORTH, SOUTH] * 150)
@@ -67,7 +67,7 @@ def test_the_sandbox_pays_nothing_and_never_ends() -> None:
 
 
 @pytest.mark.parametrize("task", ["goal-seeking", "tool-use", "avoidance"])
-def test_hitting_yellow_pays_one_and_ends(task: Task) -> None:
+def test_a_touch_of_yellow_has_reward_1_and_terminates(task: Task) -> None:
     pieces: dict[str, Any] = {"tool-use": {"pen": Pen(8, 4, "north")}, "avoidance": {"patch": Patch(4, 4)}}.get(
         task, {}
     )
@@ -80,7 +80,7 @@ def test_hitting_yellow_pays_one_and_ends(task: Task) -> None:
     assert not any(ended for _, ended, _ in steps[: paid[0]])
 
 
-def test_preferences_pay_for_each_goal_and_end_after_both() -> None:
+def test_preferences_reward_each_goal_and_terminate_after_both() -> None:
     env = made("preferences")
     start = puzzle("preferences", ("agent", 8, 4), ("yellow", 8, 2), ("green", 8, 6))
     green_first = play(env, start, EAST, EAST, *[WEST] * 12)
@@ -95,7 +95,7 @@ def test_preferences_pay_for_each_goal_and_end_after_both() -> None:
     assert not any(truncated for _, _, truncated in steps)
 
 
-def test_danger_ends_the_episode_unpaid_even_with_a_hit_in_the_same_step() -> None:
+def test_danger_terminates_with_reward_0_even_with_a_hit_in_the_same_step() -> None:
     env = made("avoidance")
     start = puzzle("avoidance", ("agent", 12, 4), ("yellow", 3, 4), patch=Patch(9, 4))
     assert play(env, start, NORTH, NORTH) == [(0.0, False, False), (0.0, True, False)]
@@ -108,7 +108,7 @@ def test_danger_ends_the_episode_unpaid_even_with_a_hit_in_the_same_step() -> No
     assert (reward, terminated, truncated) == (0.0, True, False)
 
 
-def test_info_tells_what_happened() -> None:
+def test_info_holds_the_events_of_a_step() -> None:
     env = made("goal-seeking")
     start = puzzle("goal-seeking", ("agent", 8, 3), ("yellow", 8, 4), patch=Patch(8, 4))
     _, first = env.reset(seed=0, options={"puzzle": start})
@@ -122,7 +122,7 @@ def test_info_tells_what_happened() -> None:
     assert rows["yellow_0"][7] > 0 == rows["agent"][7]
 
 
-def test_a_dictionary_observation_shows_only_what_is_there() -> None:
+def test_a_dictionary_observation_has_zeros_for_absent_objects() -> None:
     env = made("goal-seeking", observation="dict")
     start = puzzle("goal-seeking", ("agent", 8, 3), ("yellow", 2, 4), ("light", 5, 5))
     seen, info = env.reset(seed=0, options={"puzzle": start})
@@ -136,7 +136,7 @@ def test_a_dictionary_observation_shows_only_what_is_there() -> None:
     assert env.observe() in env.observation_space
 
 
-def test_without_rewards_nothing_is_paid_nothing_ends_and_goals_keep_their_colour() -> None:
+def test_without_rewards_no_episode_ends_and_goals_keep_their_colour() -> None:
     env, rewarded = made("goal-seeking", rewards=False), made("goal-seeking")
     start = puzzle("goal-seeking", ("agent", 12, 4), ("yellow", 10, 4), ("light", 1, 1))
     steps = play(env, start, *[NORTH] * 3, *[0] * 120)
@@ -160,7 +160,7 @@ def test_options_of_the_world_reach_it() -> None:
     assert env.world.data.time == pytest.approx(5 * c.TIMESTEP_S)
 
 
-def test_render_is_the_observation_or_a_handsome_picture() -> None:
+def test_render_gives_the_observation_or_a_handsome_image() -> None:
     env = made("preferences", render_mode="rgb_array")
     image, _ = env.reset(seed=0)
     np.testing.assert_array_equal(env.render(), image)
@@ -178,7 +178,7 @@ assert env.render().any()
 """
 
 
-def test_the_handsome_picture_needs_opengl() -> None:
+def test_the_handsome_look_needs_opengl() -> None:
     env = made("preferences", render_mode="rgb_array", render_look="handsome", render_size=(160, 120))
     env.reset(seed=0)
     if find_backend() is None:
@@ -203,7 +203,7 @@ def test_a_process_that_has_drawn_with_opengl_can_still_learn() -> None:
     assert (done.returncode, done.stdout) == (0, "learns\n"), done.stderr
 
 
-def test_values_of_configurations_are_looked_at() -> None:
+def test_values_of_configurations_are_checked() -> None:
     with pytest.raises(ConfigError, match=r"sandbox: key `meshes`: expected `array`, got .*ring"):
         OpenEnv(sandbox=SandboxConfig(meshes={"ring": 2}))  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match=r"world: key `image_size`: expected `int`, got `float`, got 84.5"):

@@ -54,14 +54,14 @@ def test_the_model_is_the_frozen_one() -> None:
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_things_move_as_they_did(task: Task) -> None:
+def test_motion_is_unchanged(task: Task) -> None:
     positions, _ = _played(task)
     # For processors without the promise, such as 64-bit Arm; `test_processors` compares bits on the others.
     np.testing.assert_allclose(positions, _golden()["positions"][task], atol=1e-6)
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_things_look_as_they_did(task: Task) -> None:
+def test_images_are_unchanged(task: Task) -> None:
     _, pictures = _played(task)
     golden = np.asarray(Image.open(GOLDEN / f"v1-{task}.png"))
     # On them, a pixel whose ray grazes an edge may differ.

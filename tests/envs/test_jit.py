@@ -28,7 +28,7 @@ def run(folder: Path) -> str:
     return done.stdout
 
 
-def test_a_change_of_what_is_called_in_another_file_is_noticed(tmp_path: Path) -> None:
+def test_a_change_of_a_called_function_in_another_file_is_noticed(tmp_path: Path) -> None:
     (tmp_path / "caller.py").write_text(CALLER)
     (tmp_path / "called.py").write_text(CALLED.format(1))
     assert [run(tmp_path), run(tmp_path)] == ["1\n", "1\n"]
@@ -37,7 +37,7 @@ def test_a_change_of_what_is_called_in_another_file_is_noticed(tmp_path: Path) -
     assert run(tmp_path) == "2\n"
 
 
-def test_a_type_that_moved_is_no_obstacle(tmp_path: Path) -> None:
+def test_a_moved_type_is_compiled_again(tmp_path: Path) -> None:
     """Numba's cache names the modules of its types, and numba cannot read the cache if such a module is missing."""
     caller = CALLER.replace("import called", "import called, Pair").replace("caller()", "caller(Pair(1))")
     caller = caller.replace("def caller(Pair(1))", "def caller(pair)").replace(

@@ -136,7 +136,7 @@ def test_it_lies_where_it_was_put(folder: Path) -> None:
     np.testing.assert_array_equal(world.object_state()[index], before)
 
 
-def test_what_is_seen_is_the_mesh_itself(folder: Path) -> None:
+def test_the_visible_shape_is_the_mesh_itself(folder: Path) -> None:
     above = CameraOptions(position=(0, 0, 0.4), direction=(90, 0, 0))
     mesh = MeshObject(name="ring", file=str(folder / "ring.obj"), colour=(10, 90, 200))
     world = world_with(mesh, ("agent", 1, 1), ("mesh:ring", 7, 4), camera=above)

@@ -146,7 +146,7 @@ def test_bounciness_is_the_mean_of_two_and_half_of_it_at_walls(bounciness: float
 
 
 @pytest.mark.parametrize(("kind", "across"), [("light", 1), ("rectangle", 3), ("push", 1), ("cone", 1), ("agent", 1)])
-def test_size_is_the_distance_at_which_things_touch(kind: str, across: int) -> None:
+def test_size_is_the_distance_at_which_objects_touch(kind: str, across: int) -> None:
     size = 0.13
     other = "heavy" if kind == "agent" else kind
     world = world_of(kind, ObjectOptions(size=size), ("agent", 8, 2), (other, 8, 6))
@@ -169,7 +169,7 @@ def test_size_is_the_distance_at_which_things_touch(kind: str, across: int) -> N
     assert gap == pytest.approx(expected, abs=1e-3)
 
 
-def test_colour_is_what_the_camera_sees() -> None:
+def test_colour_is_visible_in_the_observation() -> None:
     world = world_of("light", ObjectOptions(colour=(20, 40, 80)), ("agent", 8, 4), ("light", 12, 4))
     seen = world.observe()[world.segmentation() == world.model.geom("light_0").id].astype(float)
     assert len(seen) > 8
@@ -177,7 +177,7 @@ def test_colour_is_what_the_camera_sees() -> None:
     np.testing.assert_allclose(inner / inner.sum(), np.array([20, 40, 80]) / 140, atol=0.03)
 
 
-def test_the_camera_is_where_it_is_told_to_be() -> None:
+def test_the_camera_has_the_position_of_its_options() -> None:
     options = CameraOptions(position=(0.0, 0.0, 2.5), direction=(90.0, 0.0, 0.0), field_of_view=60.0)
     world = World(WorldOptions(camera=options, image_size=160))
     world.load(Puzzle("sandbox", arranged([Placement("agent", 3, 6)])))
@@ -189,7 +189,7 @@ def test_the_camera_is_where_it_is_told_to_be() -> None:
     assert rows.mean() == pytest.approx(80 - 80 * y / half - 0.5, abs=0.7)
 
 
-def test_light_comes_from_where_it_is_told_to() -> None:
+def test_light_has_the_direction_of_its_options() -> None:
     def brightness(light: LightOptions) -> dict[str, float]:
         world = World(WorldOptions(light=light))
         world.load(Puzzle("sandbox", arranged([Placement("agent", 8, 4)])))
@@ -207,7 +207,7 @@ def test_light_comes_from_where_it_is_told_to() -> None:
     )
 
 
-def test_time_is_cut_as_told() -> None:
+def test_timestep_and_substeps_divide_time() -> None:
     for options in (WorldOptions(timestep_s=0.001, substeps=40), WorldOptions(substeps=5)):
         world = World(options)
         world.load(Puzzle("sandbox", arranged([Placement("agent", 8, 2)])))

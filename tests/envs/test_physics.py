@@ -61,7 +61,7 @@ def test_the_agent_at_full_speed_passes_through_nothing(kind: str, action: int) 
 
 
 @pytest.mark.parametrize("kind", ["agent", *KINDS])
-def test_nothing_thrown_gets_through_a_pen_or_the_table_walls(kind: str) -> None:
+def test_no_thrown_object_passes_a_pen_or_the_table_walls(kind: str) -> None:
     rng, centre = np.random.default_rng(0), np.array(c.cell_centre(8, 4))
     name = kind if kind == "agent" else f"{kind}_0"
     for angle in rng.uniform(0, 2 * np.pi, 12):
@@ -120,7 +120,7 @@ def energy(world: World) -> float:
     return float(world.data.energy.sum())
 
 
-def test_energy_never_comes_from_nothing() -> None:
+def test_contacts_add_no_energy() -> None:
     """A contact is a spring that returns its energy, so energy is compared from a start without contact."""
     rng, world, checked = np.random.default_rng(4), World(), 0
     for _ in range(6):
@@ -161,7 +161,7 @@ def test_half_the_timestep_gives_the_same_push(kind: str) -> None:
     assert gone[1] == pytest.approx(gone[0], rel=0.12)
 
 
-def test_a_contact_gives_back_what_the_spring_of_continuous_time_does() -> None:
+def test_a_contact_gives_back_as_much_as_a_spring_in_continuous_time() -> None:
     stiffness, brake = 40_000.0, 72.0
     ratio = brake / 2 / stiffness**0.5
     root = np.sqrt(1 - ratio**2)
@@ -229,7 +229,7 @@ def test_new_kinds_are_pushed_along_and_come_to_rest(kind: str) -> None:
     assert world.data.tree_asleep[world.inventory.index(f"{kind}_0")] >= 0
 
 
-def test_time_passes_without_an_action_only_when_told() -> None:
+def test_time_passes_without_an_action_only_by_advance() -> None:
     world = laid(("agent", 12, 4), ("yellow", 10, 4))
     world.step(NORTH)
     world.step(NORTH)

@@ -26,7 +26,7 @@ def world() -> World:
 
 
 @pytest.mark.parametrize("offset", [(0, 1), (-3, 0), (5, 2), (-6, -3), (4, 4), (1, -2)])
-def test_on_a_free_table_the_way_is_as_long_as_its_longer_side(offset: tuple[int, int], world: World) -> None:
+def test_on_a_free_table_the_moves_are_as_many_as_the_longer_side(offset: tuple[int, int], world: World) -> None:
     i, j = offset
     found = plan(laid("goal-seeking", ("agent", 8, 4), ("yellow", 8 + i, 4 + j)), world)
     assert len(found.actions) == max(abs(i), abs(j))
@@ -75,7 +75,7 @@ def _gain(world: World, puzzle: Puzzle, actions: tuple[int, ...]) -> float:
     return gain
 
 
-def test_the_danger_patch_is_gone_around(world: World) -> None:
+def test_the_planner_avoids_the_danger_patch(world: World) -> None:
     puzzle = laid("avoidance", ("agent", 8, 1), ("yellow", 8, 7), patch=Patch(8, 4))
     assert not solves(world, puzzle, (EAST,) * 6)
     found = plan(puzzle, world)

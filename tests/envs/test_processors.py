@@ -320,13 +320,13 @@ def test_compiled_code_fuses_nothing(avx2: dict[str, Any], sse: dict[str, Any]) 
 
 
 @promised
-def test_compiled_code_calls_only_what_is_exact(avx2: dict[str, Any], sse: dict[str, Any]) -> None:
+def test_compiled_code_calls_only_exact_functions(avx2: dict[str, Any], sse: dict[str, Any]) -> None:
     called = {name for report in (avx2, sse) for what in report["code"].values() for name in what["calls"]}
     assert "sqrt" in called
     assert called <= _EXACT
 
 
-def test_mujoco_fuses_nothing_and_does_not_ask_for_the_processor() -> None:
+def test_mujoco_fuses_nothing_and_does_not_check_the_processor() -> None:
     if platform.machine() != "x86_64" or shutil.which("objdump") is None:
         pytest.skip("needs objdump (package binutils) and x86-64")
     (library,) = Path(mujoco.__file__).parent.glob("libmujoco.so.*")

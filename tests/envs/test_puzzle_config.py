@@ -53,7 +53,7 @@ def test_the_papers_example() -> None:
     assert draw(PAPERS, seed=1) != puzzle
 
 
-def test_nothing_asked_for_is_an_agent_alone() -> None:
+def test_an_empty_request_gives_only_an_agent() -> None:
     assert [item.kind for item in draw({}).objects] == ["agent"]
 
 
@@ -85,7 +85,7 @@ def test_cubes_are_heavy_or_light_with_probability_a_half_as_far_as_there_are_en
         assert len(cells(draw({"cube": 12, "stack": 4}, seed), "light")) == 0
 
 
-def test_goals_lie_where_they_are_asked_for() -> None:
+def test_goals_are_on_the_requested_cells() -> None:
     config = {"main_sphere_i_j": [(8, 4)], "touch_sphere": 3, "touch_sphere_i_j": [(1, 1), [8, 5]], "radius": 2}
     for seed in range(20):
         yellow = cells(draw(config, seed), "yellow")
@@ -118,7 +118,7 @@ def test_goals_lie_where_they_are_asked_for() -> None:
         ({"cubes": 3}, "unknown key `cubes`; did you mean `cube`"),
     ],
 )
-def test_what_cannot_be_is_refused_at_once_naming_key_and_value(config: dict, message: str) -> None:
+def test_an_impossible_request_is_refused_with_key_and_value(config: dict, message: str) -> None:
     with pytest.raises(GymOpenError, match=message) as refusal:
         draw(config)
     assert "puzzle_config" in str(refusal.value)
@@ -171,7 +171,7 @@ def test_the_page_shows_the_digests_and_a_record_as_they_are() -> None:
     assert shown.replace("\n", "") == puzzle_by_id("tool-use/017").to_json().decode()
 
 
-def test_what_is_refused_leaves_the_generator_as_it_was() -> None:
+def test_a_refused_request_leaves_the_generator_unchanged() -> None:
     rng, untouched = np.random.default_rng(5), np.random.default_rng(5)
     with pytest.raises(GymOpenError):
         from_puzzle_config({"cube": 3, "ramp": 1, "main_sphere_i_j": [(1, 1)]}, rng)

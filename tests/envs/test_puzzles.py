@@ -192,7 +192,7 @@ def test_no_test_set_for_the_sandbox() -> None:
         fixed_puzzles("sandbox")
 
 
-def test_digest_is_of_the_layout_alone() -> None:
+def test_the_digest_covers_only_the_layout() -> None:
     puzzle = fixed_puzzles("goal-seeking")[0]
     assert msgspec.structs.replace(puzzle, task="sandbox").digest == puzzle.digest
     assert msgspec.structs.replace(puzzle, objects=puzzle.objects[:-1]).digest != puzzle.digest
@@ -340,7 +340,7 @@ def test_a_rectangle_takes_three_cells_either_way() -> None:
         Puzzle("sandbox", arranged([Placement("agent", 9, 4), Placement("rectangle", 8, 7)]), pen=pen)
 
 
-def test_turned_is_written_only_where_it_says_something() -> None:
+def test_turned_is_written_only_if_true() -> None:
     straight = Puzzle("sandbox", arranged([AGENT, Placement("rectangle", 5, 4)]))
     turned = Puzzle("sandbox", arranged([AGENT, Placement("rectangle", 5, 4, turned=True)]))
     assert b"turned" not in straight.to_json()
@@ -369,7 +369,7 @@ def test_meshes_come_last_in_order_of_name() -> None:
         ({"patch": Patch(5, "4")}, "Expected `int`, got `str`"),  # type: ignore[arg-type]
     ],
 )
-def test_what_is_built_in_python_is_held_to_the_same_types(fields: dict, message: str) -> None:
+def test_a_puzzle_built_in_python_is_checked_too(fields: dict, message: str) -> None:
     whole = {"task": "sandbox", "objects": (Placement("agent", 5, 5),)}
     with pytest.raises(PuzzleError, match=message):
         Puzzle(**(whole | fields))

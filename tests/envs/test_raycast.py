@@ -49,7 +49,7 @@ def test_camera_axes_are_the_originals() -> None:
     assert right[2] == pytest.approx(np.sin(np.deg2rad(1.481)) * np.cos(pitch), abs=1e-12)
 
 
-def test_every_cell_of_the_table_is_in_the_picture() -> None:
+def test_every_cell_of_the_table_is_in_the_image() -> None:
     for row in range(c.ROWS):
         for column in range(c.COLUMNS):
             point = on_screen(np.array([*c.cell_centre(row, column), c.RADIUS]))
@@ -166,7 +166,7 @@ def test_shading_is_lamberts() -> None:
     np.testing.assert_allclose(np.unique(image.rgb[image.label == 0]), expected, atol=1)
 
 
-def test_goals_show_that_they_were_hit_only_if_told_to() -> None:
+def test_hit_goals_change_colour_only_on_request() -> None:
     puzzle = Puzzle("sandbox", arranged([Placement("agent", 8, 3), Placement("yellow", 8, 4)]))
     world = World()
     for recolour in (True, False):

@@ -38,7 +38,7 @@ def grown(mask: np.ndarray) -> np.ndarray:
 
 
 @needs_gl
-def test_from_the_observations_camera_both_looks_agree_on_what_is_where() -> None:
+def test_from_the_observations_camera_both_looks_show_the_same_objects() -> None:
     options = WorldOptions(image_size=256)
     world, rng = World(options), np.random.default_rng(0)
     with Renderer(options, (256, 256), "observation") as renderer:
@@ -96,7 +96,7 @@ def test_a_goal_shows_its_hit_and_parked_things_never() -> None:
 
 
 @needs_gl
-def test_what_nobody_is_to_see_is_not_drawn() -> None:
+def test_invisible_geoms_are_not_drawn() -> None:
     world = World()
     world.load(Puzzle("sandbox", arranged([Placement("agent", 8, 5)]), pen=Pen(8, 4, "west")))
     unseen = [i for i in range(world.model.ngeom) if world.model.geom_group[i] >= 3]
@@ -110,7 +110,7 @@ def test_what_nobody_is_to_see_is_not_drawn() -> None:
 
 
 @needs_gl
-def test_options_and_size_reach_the_picture_and_the_worlds_model_stays_as_it_is() -> None:
+def test_options_and_size_change_the_image_and_not_the_worlds_model() -> None:
     options = WorldOptions(objects={"agent": ObjectOptions(colour=(20, 60, 240))})
     world = World(options)
     world.load(fixed_puzzles("goal-seeking")[0], recolour_hits=True)
@@ -140,11 +140,11 @@ def test_without_opengl_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch)
 
 
 @needs_gl
-def test_a_picture_that_opengl_cannot_give_is_an_error_of_ours() -> None:
+def test_a_failure_of_opengl_is_an_opengl_error() -> None:
     with pytest.raises(backend.OpenGLError, match="5000×64"):
         gl.open_renderer(build_model(WorldOptions()), 5000, 64)
 
 
-def test_what_is_set_in_the_environment_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_mujoco_gl_decides_if_it_is_set(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(os.environ, "MUJOCO_GL", "osmesa")
     assert backend.find_backend() == "osmesa"

@@ -59,7 +59,7 @@ def success(model: PPO | None, episodes: int = 60) -> float:
     return a_success(mean_return_within(rewards))
 
 
-def test_ppo_runs_on_pictures() -> None:
+def test_ppo_runs_on_images() -> None:
     env = make_vec_env(ID, n_envs=2)
     model = PPO("CnnPolicy", env, n_steps=8, batch_size=16, n_epochs=1, device="cpu").learn(32)
     seen: Any = env.reset()

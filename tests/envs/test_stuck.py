@@ -27,7 +27,7 @@ def watch() -> Watch:
     return Watch(segment=4, place=(0.0, 0.0, 0.0))
 
 
-def test_an_agent_that_gets_nowhere_is_stuck_until_it_gets_away() -> None:
+def test_an_agent_that_does_not_move_is_stuck_until_it_gets_away() -> None:
     one = watch()
     turns = [one.push(states(agent=(0.0, 0.019)), step) for step in range(1, AGENT_PUSHES + 10)]
     found = [turn for now in turns for turn in now]

@@ -112,7 +112,7 @@ def test_threads_and_copies_change_nothing() -> None:
         run.close()
 
 
-def test_its_environments_can_be_put_elsewhere() -> None:
+def test_its_environments_can_be_restored_elsewhere() -> None:
     rng = np.random.default_rng(2)
     vector, alone = OpenVectorEnv(3, "preferences", observation="dict"), OpenEnv("preferences", observation="dict")
     vector.reset(seed=0)
@@ -127,7 +127,7 @@ def test_its_environments_can_be_put_elsewhere() -> None:
 
 
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED])
-def test_an_ended_world_that_is_put_back_plays_on(mode: AutoresetMode) -> None:
+def test_a_restored_world_goes_on_after_its_end(mode: AutoresetMode) -> None:
     vector = OpenVectorEnv(2, "goal-seeking", max_episode_steps=2, autoreset_mode=mode)
     vector.reset(seed=0)
     begun = [env.snapshot() for env in vector.envs]
@@ -144,14 +144,14 @@ def test_a_step_limit_is_taken_as_gymnasium_gives_it() -> None:
     assert [vector.step(np.array([0, 0]))[3].all() for _ in range(3)] == [False, False, True]
 
 
-def test_after_close_nothing_begins() -> None:
+def test_after_close_no_episode_starts() -> None:
     vector = OpenVectorEnv(2, "goal-seeking")
     vector.close()
     with pytest.raises(ClosedEnvironmentError, match="make a new vector environment"):
         vector.reset()
 
 
-def test_what_is_returned_is_the_callers_unless_it_is_asked_for_without_copies() -> None:
+def test_returned_arrays_are_overwritten_only_without_copies() -> None:
     kept, reused = OpenVectorEnv(2, "goal-seeking"), OpenVectorEnv(2, "goal-seeking", copy=False)
     for vector in (kept, reused):
         before = vector.reset(seed=0)[0]

@@ -53,7 +53,7 @@ def test_witnesses_name_their_puzzles() -> None:
 
 
 @pytest.mark.slow
-def test_witnesses_do_not_hang_on_a_hair() -> None:
+def test_witnesses_survive_small_shifts() -> None:
     world = World()
     for task, split in SETS:
         for puzzle, witness in zip(puzzles_of(task, split), witnesses_of(task, split), strict=True):
@@ -93,7 +93,7 @@ def test_a_witness_that_fails_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
         verify()
 
 
-def test_what_is_shown_of_a_puzzle() -> None:
+def test_show_prints_map_digest_and_witness() -> None:
     name = "tool-use/validation/003"
     text = printed(show(name))
     puzzle = puzzle_by_id(name)
@@ -103,7 +103,7 @@ def test_what_is_shown_of_a_puzzle() -> None:
         show("tool-use/xyz")
 
 
-def test_the_map_shows_every_thing_on_its_cell() -> None:
+def test_the_map_shows_every_object_on_its_cell() -> None:
     objects = [("agent", 1, 1), ("yellow", 2, 2), ("cone", 14, 7), ("stack", 9, 4), ("mesh:duck", 10, 1)]
     layout = arranged([*(Placement(*item) for item in objects), Placement("rectangle", 5, 4, turned=True)])
     rows = printed(puzzle_report.cell_map(Puzzle("sandbox", layout))).splitlines()[1:17]

@@ -179,7 +179,7 @@ def test_a_hit_keeps_momentum_and_never_makes_energy(kind: str) -> None:
     assert sum(masses[name] * v**2 for name, v in speeds.items()) < 7 * 3.5**2
 
 
-def test_hits_are_reported_once_and_seen_between_frames() -> None:
+def test_hits_are_reported_once_and_detected_between_steps() -> None:
     world = loaded(("agent", 8, 3), ("yellow", 8, 4), ("green", 8, 2))
     first = world.step(EAST)
     assert first.hits == ("yellow_0",)
@@ -204,7 +204,7 @@ def test_contacts_name_walls_and_leave_out_the_table() -> None:
     assert {name for contact in outcome.contacts for name in (contact.a, contact.b)} == {"agent", "wall_west"}
 
 
-def test_danger_is_the_patch_and_is_seen_in_passing() -> None:
+def test_danger_is_within_the_patch_and_is_detected_in_passing() -> None:
     world = loaded(("agent", 12, 4), patch=Patch(9, 4))
     assert not world.step(0).in_danger
     assert not world.step(NORTH).in_danger  # 2 cells from the centre: 0.28 m
@@ -311,7 +311,7 @@ def test_loading_forgets_what_came_before() -> None:
     np.testing.assert_array_equal(used.observe(), fresh.observe())
 
 
-def test_worlds_in_threads_are_as_alone() -> None:
+def test_worlds_in_threads_give_the_same_as_one_after_the_other() -> None:
     def played(number: int) -> tuple[np.ndarray, np.ndarray]:
         rng, world = np.random.default_rng(number), World()
         world.load(fixed_puzzles("preferences")[number])

@@ -63,7 +63,7 @@ def without(*modules: str, code: str) -> subprocess.CompletedProcess[str]:
 OPTIONAL = [name for names in extras.MODULES.values() for name in names]
 
 
-def test_the_world_alone_plays_and_shows_help() -> None:
+def test_the_base_package_steps_worlds_and_shows_help() -> None:
     code = """
 import gymnasium, gym_open
 from gym_open.cli import main
@@ -153,7 +153,7 @@ def test_a_module_of_no_extra_is_missing_as_ever() -> None:
     assert not isinstance(caught.value, MissingExtraError)
 
 
-def test_what_is_checked_for_is_what_is_declared() -> None:
+def test_checked_modules_are_those_of_the_declared_packages() -> None:
     names = packages_distributions()
     for extra, modules in extras.MODULES.items():
         if extra == "lerobot" and "lerobot" not in names:

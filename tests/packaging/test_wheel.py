@@ -73,7 +73,7 @@ def command(python: Path, *words: str, cwd: Path) -> tuple[int, str]:
     return done.returncode, done.stdout + done.stderr
 
 
-def test_the_world_alone_plays_and_is_small(wheel: Path, install: Install, tmp_path: Path) -> None:
+def test_the_base_package_steps_worlds_and_is_small(wheel: Path, install: Install, tmp_path: Path) -> None:
     python = install(str(wheel))
     assert megabytes(python) < 350
     done = run([python, "-c", PLAY], cwd=tmp_path)
@@ -113,7 +113,7 @@ def test_logs_and_releases_need_no_torch(
     assert said.endswith("not installed: pip install 'gym-open[build]'\n")
 
 
-def test_everything_installs_beside_the_newest_torch_and_numpy(wheel: Path, install: Install, tmp_path: Path) -> None:
+def test_everything_installs_with_the_newest_torch_and_numpy(wheel: Path, install: Install, tmp_path: Path) -> None:
     versions = "from importlib.metadata import version; print(version('torch'), version('numpy'))"
     before = run([install("torch", "numpy"), "-c", versions]).stdout
     python = install(f"gym-open[all] @ {wheel.as_uri()}")

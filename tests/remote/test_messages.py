@@ -1,4 +1,4 @@
-"""Bytes that are no message, and messages too big, too deep, or of another version, are refused; the session goes on."""
+"""Bytes that are no message, and messages too big, too deep or of another version, are refused; the session goes on."""
 
 import contextlib
 from collections.abc import Callable
@@ -41,7 +41,7 @@ def test_bytes_are_a_request_or_refused(body: bytes) -> None:
 
 
 @given(st.integers(0, 40), st.binary(min_size=1, max_size=4))
-def test_a_changed_request_is_one_or_refused(at: int, change: bytes) -> None:
+def test_a_changed_request_is_valid_or_refused(at: int, change: bytes) -> None:
     body = p.encode(p.Request("0" * 8, p.ChangePuzzle(0, None, {"cube": 3})))
     with contextlib.suppress(ValueError):
         p.decode_request(body[:at] + change + body[at + len(change) :])
@@ -93,7 +93,7 @@ def test_an_unknown_method_or_session_is_refused(server: Server) -> None:
         (lambda env: env.add_change_puzzle(0, 0, _endless()), "add_change_puzzle: .*recursion"),
     ],
 )
-def test_what_no_message_can_hold_is_named(env: Any, call: Any, message: str) -> None:
+def test_a_value_that_no_message_can_hold_is_named(env: Any, call: Any, message: str) -> None:
     with pytest.raises(UsageError, match=message):
         call(env)
     env.add_change_puzzle(1, 1)

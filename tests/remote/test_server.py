@@ -147,7 +147,7 @@ def test_clients_play_side_by_side(client: Client, server: Server) -> None:
     assert together == alone
 
 
-def test_more_clients_at_once_than_places_get_the_places_or_a_clear_no(client: Client, server: Server) -> None:
+def test_more_clients_than_places_get_a_place_or_a_clear_refusal(client: Client, server: Server) -> None:
     """Thirty calls at a time are more than the server accepts."""
     got: list[Any] = []
 
@@ -264,7 +264,7 @@ def test_a_killed_server_ends_in_an_error_that_says_where_and_what_to_do(client:
         env.close()
 
 
-def test_a_hanging_server_is_not_waited_for_and_a_stopped_one_ends_well(client: Client) -> None:
+def test_a_hanging_server_reaches_the_deadline_and_a_stopped_server_ends_well(client: Client) -> None:
     with serving(clients=1) as server:
         env = client(server.port)
         env.add_change_puzzle(1, 1)

@@ -106,7 +106,7 @@ def test_an_object_is_described_by_the_papers_seven_facts() -> None:
     assert masses[2] == 5.0
 
 
-def test_pictures_come_when_they_are_asked_for() -> None:
+def test_observations_hold_the_image_on_request() -> None:
     env = laid_out()
     assert set(env.reset()) == {"object_information"}
     env.set_observation(True)
@@ -152,7 +152,7 @@ def solved(env: Any) -> tuple[Any, float, bool, Any]:
     raise AssertionError
 
 
-def test_a_goal_pays_once_changes_its_colour_and_ends_the_episode() -> None:
+def test_a_goal_is_rewarded_once_changes_its_colour_and_ends_the_episode() -> None:
     env = laid_out()
     observation, reward, done, _ = solved(env)
     assert (reward, done) == (1.0, True)
@@ -162,7 +162,7 @@ def test_a_goal_pays_once_changes_its_colour_and_ends_the_episode() -> None:
     assert env.step(0)[1:3] == (0.0, False)
 
 
-def test_with_rewards_off_nothing_is_paid_nothing_ends_and_goals_keep_their_colour() -> None:
+def test_with_rewards_off_no_episode_ends_and_goals_keep_their_colour() -> None:
     env = laid_out()
     env.set_observation(True)
     env.turn_off_reward(True)
@@ -205,7 +205,7 @@ def test_without_skip_frame_ten_steps_are_one_move() -> None:
     assert agent[9] - agent[0] == pytest.approx(0.9 * c.PITCH, rel=0.1)
 
 
-def test_without_skip_frame_a_world_left_alone_goes_on_by_substeps() -> None:
+def test_without_skip_frame_a_world_goes_on_by_substeps() -> None:
     env = laid_out(seed=4)
     env.configure_env(False, action_space="full", skip_frame=False)
     for _ in range(4):
@@ -217,7 +217,7 @@ def test_without_skip_frame_a_world_left_alone_goes_on_by_substeps() -> None:
     assert moved[6] == pytest.approx(moved[9], abs=1e-6)  # the move ends after six more
 
 
-def test_debug_says_what_touched_what() -> None:
+def test_debug_adds_contacts() -> None:
     plain, debug = laid_out(seed=4), laid_out(seed=4, debug=True)
     assert set(plain.step(1)[3]) == {"puzzle_digest", "hits", "in_danger", "truncated"}
     result = solved(debug)[3]
