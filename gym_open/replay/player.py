@@ -142,7 +142,7 @@ class Player:
         self._compare(window, recorded, names, contact_error=error or 0.0)
 
     def compare(self, recorded: RecordedObservation, names: tuple[str, ...]) -> None:
-        """Compare the present moment with a second recording of it: the first one of an episode that continues."""
+        """Compare the present moment with another recording of it, such as the next episode's first frame."""
         if self._window is not None:
             self._compare(self._window, recorded, names, contact_error=0.0)
 

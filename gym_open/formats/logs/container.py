@@ -310,7 +310,7 @@ def _messages(record: _Record, topics: dict[int, str]) -> Iterator[tuple[int, Lo
 
 
 def _unpack(record: _Record) -> bytes:
-    """Unpack a chunk and check its size and CRC. The size is checked before unpacking, too."""
+    """Unpack a chunk and check its CRC; its size is checked before unpacking."""
     _unpacked_size(record)
     chunk = Chunk.read(ReadDataStream(BytesIO(record.data)))
     if chunk.compression != "zstd" or zstandard.frame_content_size(chunk.data) != chunk.uncompressed_size:
