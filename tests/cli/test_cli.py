@@ -60,7 +60,7 @@ def test_help_imports_no_slow_library() -> None:
         (["run", "--workspace", "WORKSPACE", "--seed", "-1"], "key `seed`"),
         (
             ["train", "encoder", "--workspace", "WORKSPACE", "--release", "r", "--encoder.architecture", "state"],
-            "error: options: `encoder.architecture` 'state' looks at no picture",
+            "error: options: `encoder.architecture` 'state' takes no images",
         ),
         (["benchmark", "WORKSPACE/nope.toml", "--out", "o"], "nope.toml: no such configuration file"),
         (["evaluate", "--workspace", "WORKSPACE", "--actions", "greedy"], "`actions` greedy takes a policy's"),
