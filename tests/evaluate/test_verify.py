@@ -119,7 +119,7 @@ def test_the_command_tells_it(made: Mapping[str, Path], capsys: pytest.CaptureFi
     assert main(["score", "verify", scores, "--policy", policy]) == 0
     assert "the policy chose every action again" in capsys.readouterr().out
     assert main(["score", "verify", scores, "--policy", policy, "--puzzle", "avoidance/000"]) == 2
-    assert "leave out --puzzle, or --policy" in capsys.readouterr().err
+    assert "leave out --puzzle or --policy" in capsys.readouterr().err
 
 
 def test_better_episodes_under_the_random_agents_name(made: Mapping[str, Path], tmp_path: Path) -> None:
