@@ -1,4 +1,4 @@
-"""A person at the keyboard: a press is a move, all of it is logged and scored, and a closed window loses nothing."""
+"""A person at the keyboard: a press is a move, all moves are logged and scored, a closed window loses nothing."""
 
 import functools
 import os
@@ -31,14 +31,14 @@ TASK = "goal-seeking"
 
 
 def press(key: int) -> None:
-    """A press and release within one frame, as a quick finger does it."""
+    """Press and release a key within one frame."""
     for kind in (pygame.KEYDOWN, pygame.KEYUP):
         pygame.event.post(pygame.event.Event(kind, key=key, unicode="", mod=0, scancode=0))
 
 
 @pytest.fixture(scope="module")
 def at_keyboard() -> Iterator[Callable[[Iterator[int | None]], None]]:
-    """Takes what the person does whenever the window waits: keys, or None to close it."""
+    """Give the window these keys whenever it waits; None closes it."""
     from gym_open.evaluate import human, human_window
 
     wait = human_window.PlayWindow.next_move
@@ -62,7 +62,7 @@ def at_keyboard() -> Iterator[Callable[[Iterator[int | None]], None]]:
 
 @functools.cache
 def solution(name: str) -> list[int]:
-    """Keys that solve a puzzle: random moves, tried until they do."""
+    """Find keys that solve a puzzle, by trying random moves."""
     from gym_open.evaluate.human_window import KEYS
 
     env, puzzle = OpenEnv(TASK), puzzle_by_id(name)
@@ -142,7 +142,7 @@ def test_a_played_log_can_be_looked_at(scores: Path, tmp_path: Path) -> None:
 
 
 def test_no_release_is_made_of_a_played_log(scores: Path, tmp_path: Path) -> None:
-    """Neither of the scores, nor of a log artefact that somebody put the file into."""
+    """Neither from the scores, nor from a log artefact with that file."""
     with pytest.raises(ArtefactError, match="expected an artefact of kind 'log', got 'scores'"):
         build_release(ReleaseConfig(), [scores], tmp_path / "release")
 
@@ -157,7 +157,7 @@ def test_no_release_is_made_of_a_played_log(scores: Path, tmp_path: Path) -> Non
 
 
 def test_a_closed_window_loses_nothing(at_keyboard: Any, scores: Path, tmp_path: Path) -> None:
-    """Stopped in the middle of each puzzle, it goes on there, and the end is that of play in one go."""
+    """After a stop in the middle of each puzzle, play continues there, and ends like play without a stop."""
     keys: list[int | None] = [*solution(f"{TASK}/003"), *[pygame.K_UP] * 100]
     out = tmp_path / "again"
     first = len(keys) - 100
@@ -203,7 +203,7 @@ def test_without_a_screen_it_says_what_to_do(tmp_path: Path) -> None:
 def test_the_window_shows_the_world(
     at_keyboard: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, picture: Any
 ) -> None:
-    """What the window holds, shrunk to a policy's pixels, is about the policy's picture."""
+    """The window, shrunk to 84×84 pixels, is nearly the policy's image."""
     from gym_open.evaluate.human_window import PlayWindow
 
     shown: list[np.ndarray] = []

@@ -1,4 +1,4 @@
-"""Playing the fixed puzzles: what is recorded is what happened, and it can be replayed."""
+"""Play of the fixed puzzles: the record is what happened, and it can be replayed."""
 
 import zlib
 from pathlib import Path
@@ -143,14 +143,14 @@ def test_no_policy_has_no_likeliest_action(tmp_path: Path) -> None:
 
 
 def _sees(seen: np.ndarray) -> np.ndarray:
-    """Probabilities that another pixel, or another number of a state, would make others; action 0 would stay there."""
+    """Return probabilities that depend on every pixel, or on every number of a state, without action 0."""
     moves = [np.random.default_rng(zlib.crc32(one.tobytes())).dirichlet(np.ones(N_ACTIONS - 1)) for one in seen]
     return np.insert(np.stack(moves), 0, 0.0, axis=1)
 
 
 @pytest.mark.parametrize(("threads", "states"), [(3, False), (2, True)])
 def test_puzzles_side_by_side_go_as_each_does_alone(threads: int, *, states: bool) -> None:
-    """To the bit: pictures, or states, rewards and ends, against Gymnasium's plain loop."""
+    """Compare images or states, rewards and ends to the bit with Gymnasium's plain loop."""
     puzzles = fixed_puzzles("avoidance")[1:6]
     config = EvaluateConfig(task="avoidance", actions="greedy", threads=threads)
     episodes = play(_sees, "avoidance", puzzles, config, states=states)
@@ -171,7 +171,7 @@ def test_puzzles_side_by_side_go_as_each_does_alone(threads: int, *, states: boo
 
 
 def _trained(out: Path, architecture: Architecture) -> Path:
-    """Two updates, 32 steps each; kept after the first of them as well."""
+    """Train for two updates of 32 steps, with a checkpoint after the first."""
     config = PolicyTrainConfig(
         steps=64, num_envs=4, num_steps=8, mean_images=4, checkpoints=(20, 10_000), seed=7, threads=1, agent="mine",
         encoder=EncoderConfig(architecture=architecture, features=16), ppo=PPOConfig(learning_rate=0.01),
@@ -204,7 +204,7 @@ def test_a_policy_that_sees_states_is_scored_on_states(tmp_path: Path) -> None:
 
 
 def _check_scored(policy: Path, out: Path, at: int | None, trained: int, folder: Path) -> None:
-    """Scores of a policy against its network in `folder`, asked here."""
+    """Compare the scores of a policy with the actions of its network in `folder`."""
     config = EvaluateConfig(threads=1, seed=3)
     made = evaluate(config, policy, out, at=at)
     record = read_scores(made.path)

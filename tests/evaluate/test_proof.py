@@ -1,4 +1,4 @@
-"""The task-free proof over real artefact chains: proven when whole, missing when cut, forged or not task-free."""
+"""The task-free proof on real chains of artefacts: proven if whole, missing if broken, forged or not task-free."""
 
 import hashlib
 import itertools
@@ -82,7 +82,7 @@ Change = Callable[[dict[str, Any]], None]
 
 
 def resealed(link: Parent, path: Sequence[int], change: Change) -> Parent:
-    """The records with a change in the lineage that `path` (indices of parents) leads to, and all digests made anew."""
+    """Change the lineage that `path` (indices of parents) leads to, and compute all digests again."""
     lineage = link.lineage
     if path:
         first, *rest = path
@@ -178,7 +178,7 @@ def test_a_log_with_an_encoder_of_its_own_must_be_task_free_too(tmp_path: Path) 
 
 @pytest.mark.parametrize("facts", [CLEAN, {**CLEAN, "task": "tool-use"}])
 def test_a_release_of_releases_is_followed_to_every_log(tmp_path: Path, facts: Mapping[str, Any]) -> None:
-    """Merged, filtered, or appended to: each of the logs below counts."""
+    """Merged, filtered or appended: every log below counts."""
     logs = [artefact(tmp_path / f"log-{i}", "log", [], found) for i, found in enumerate((CLEAN, facts))]
     releases = [release_of(tmp_path / f"of-{log.name}", [log], [log]) for log in logs]
     merged = release_of(tmp_path / "merged", releases, logs)
@@ -208,7 +208,7 @@ def test_a_chain_that_skips_the_release_is_named(tmp_path: Path) -> None:
 
 
 def test_a_log_is_where_a_chain_ends(tmp_path: Path) -> None:
-    """An explorer that began with a network trained on a task."""
+    """Refused: an explorer that began with a network trained on a task."""
     other = policy_of(tmp_path / "other", None)
     proof = prove(policy_of(tmp_path / "policy", artefact(tmp_path / "log", "log", [other], CLEAN)))
     assert_missing(proof, "a log is where the chain ends")
@@ -256,7 +256,7 @@ def test_a_record_that_was_changed_breaks_the_chain(tmp_path: Path, depth: int, 
 
 
 def test_a_swapped_parent_breaks_the_chain(tmp_path: Path) -> None:
-    """The lineage of a clean encoder in the place of another's: each fits itself, but the policy's digest does not."""
+    """With another encoder's lineage, every link is consistent, but the policy's digest does not match."""
     dirty = records(whole_chain(tmp_path / "dirty", {**CLEAN, "task": "tool-use"}))
     clean = records(whole_chain(tmp_path / "clean"))
     swapped = Parent(dirty.digest, dirty.manifest, clean.lineage)
@@ -297,7 +297,7 @@ def test_a_chain_that_was_made_anew_must_still_fit_together(
 
 
 def test_a_release_that_hides_a_log_is_found(tmp_path: Path) -> None:
-    """Made of a clean log and of one with a task, whose record was taken out, all digests above made anew."""
+    """A release of a clean log and of a log with a task, whose record was removed; all digests are computed again."""
     clean = artefact(tmp_path / "clean", "log", [], CLEAN)
     dirty = artefact(tmp_path / "dirty", "log", [], {**CLEAN, "task": "tool-use"})
     release = release_of(tmp_path / "release", [clean, dirty], [clean, dirty])
@@ -314,7 +314,7 @@ def test_a_log_that_no_release_says_it_holds_is_named(tmp_path: Path) -> None:
 
 
 def test_what_is_consistent_throughout_is_told_apart_by_its_digest_alone(tmp_path: Path) -> None:
-    """What no record can show, and so the proof says what it rests on: the policy's digest, which no forger keeps."""
+    """Records cannot show this, so the proof says what it rests on: the policy's digest, which a forgery changes."""
     honest = records(whole_chain(tmp_path, {**CLEAN, "task": "goal-seeking"}))
     forged = resealed(honest, [0, 0, 0], set_facts(task="sandbox"))
     held = forged.lineage.parents[0].lineage.parents[0].lineage.parents[0].digest
@@ -331,7 +331,7 @@ def test_what_is_consistent_throughout_is_told_apart_by_its_digest_alone(tmp_pat
 
 @pytest.mark.parametrize("task", TASKS)
 def test_training_never_sees_an_evaluation_puzzle(task: Task, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Though a generator gone wrong draws one every other time."""
+    """Even if a broken generator draws one every other time."""
     drawn, seen = [], set[str]()
     wrong = itertools.cycle([*puzzles_of(task, "test"), *puzzles_of(task, "validation")])
     honest, load = generators.draw_layout, OpenEnv._load

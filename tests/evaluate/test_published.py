@@ -1,4 +1,4 @@
-"""Published scores are whole, follow from their episodes, and are what docs/results.md says."""
+"""Published scores are whole, follow from their episodes, and agree with docs/results.md."""
 
 import json
 import re
@@ -26,7 +26,7 @@ def record_of(scores: Path) -> dict[str, Any]:
 
 
 def shown(values: list[float]) -> str:
-    """As the document prints a score: mean over seeds, and their deviation where there are several."""
+    """Format a score as in the document: mean over seeds, and their deviation if there are several."""
     deviation = f" ± {stdev(values):.3f}" if len(values) > 1 else ""
     return f"{mean(values):.3f}{deviation}".replace("0.", ".")
 

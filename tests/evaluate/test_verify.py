@@ -1,4 +1,4 @@
-"""Scores under another's name: who chose the actions, and what is said of them, is worked out anew."""
+"""Forged scores: the player, the actions and all numbers are checked again."""
 
 import shutil
 from collections.abc import Callable, Mapping
@@ -74,7 +74,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Path]:
 
 
 def forged(scores: Path, out: Path, record: Mapping[str, Any] | None = None, episodes: Path | None = None) -> Path:
-    """A copy with other fields or other episodes, and the numbers of those; its manifest is anew."""
+    """Copy scores with other fields or other episodes and their numbers, and a new manifest."""
     shutil.copytree(scores, out)
     fields = {**msgspec.json.decode((scores / RECORD).read_bytes()), **(record or {})}
     if episodes is not None:

@@ -1,4 +1,4 @@
-"""A-Success against closed forms, PHYRE's published value, and a plain loop."""
+"""A-Success, compared with closed forms, PHYRE's published value, and a plain loop."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Names of agents, whatever their artefacts say."""
+"""Names of agents from any artefact, also a hostile one."""
 
 from pathlib import Path
 from typing import Any

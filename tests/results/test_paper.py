@@ -1,4 +1,4 @@
-"""The paper's table: copied right, and found by the names that agents have here."""
+"""The paper's numbers: copied correctly, and found by the names of agents."""
 
 from pathlib import Path
 

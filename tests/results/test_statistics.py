@@ -1,4 +1,4 @@
-"""Statistics over runs against closed forms, SciPy, and simulations whose truth is known."""
+"""Statistics over runs, compared with closed forms, SciPy, and simulations with known true values."""
 
 import itertools
 import statistics as plain
@@ -111,7 +111,7 @@ def test_the_spread_over_runs_and_tasks_has_its_closed_form() -> None:
 
 
 def test_both_levels_contribute_their_variance() -> None:
-    """Scores a_r + b_p without anything else: the variance of the mean is the sum of the two levels' own."""
+    """For scores a_r + b_p, the variance of the mean is the sum of the variances of both levels."""
     runs, puzzles = _rng().normal(size=5), _rng().normal(size=20)
     draws = two_level_bootstrap(runs[:, None] + puzzles[None, :], _rng(), 40_000)
     assert draws.mean() == pytest.approx(runs.mean() + puzzles.mean(), abs=0.02)
@@ -133,7 +133,7 @@ def test_puzzles_that_both_agents_play_cancel_in_a_difference() -> None:
 
 
 def test_the_two_level_interval_covers_the_truth_as_often_as_it_says() -> None:
-    """Runs and puzzles drawn anew each time, effects of both and of the pair: the mean is 0."""
+    """Each trial draws effects of runs, of puzzles and of pairs; the true mean is 0."""
     rng, hits, trials = np.random.default_rng(1), 0, 200
     for _ in range(trials):
         values = 0.06 * rng.normal(size=(5, 1)) + 0.2 * rng.normal(size=100) + 0.28 * rng.normal(size=(5, 100))

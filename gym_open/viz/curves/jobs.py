@@ -23,7 +23,7 @@ _TAIL = 10_000
 """Bytes at the end of a job's output that are searched for an error."""
 
 
-class JobStatus(NamedTuple):
+class JobProgress(NamedTuple):
     """One job of a grid."""
 
     name: str
@@ -33,7 +33,7 @@ class JobStatus(NamedTuple):
     """Its progress, or why it stopped."""
 
 
-def jobs_of(folder: Path) -> list[JobStatus]:
+def jobs_of(folder: Path) -> list[JobProgress]:
     """Return the jobs of the grid in `folder`, by stage and name; none if the folder has no grid."""
     names = sorted(path.stem for path in (folder / FOLDER).glob("*.toml"))
     stages = list(_STAGES)
@@ -56,28 +56,28 @@ def _stage(name: str) -> str:
     return first if first in _STAGES else "encoder"
 
 
-def _job(root: Path, name: str) -> JobStatus:
+def _job(root: Path, name: str) -> JobProgress:
     folder, stage = root / FOLDER, _stage(name)
     if (folder_of(root, name) / artefacts.MANIFEST).is_file():
-        return JobStatus(name, stage, "done", "")
+        return JobProgress(name, stage, "done", "")
     progress, output = folder / f"{name}.progress", folder / f"{name}.log"
     try:
         if (said := Progressed.read(progress)) and _is_fresh(progress):
-            return JobStatus(name, stage, "at work", f"{said.done:,} of {said.total:,}, {said.rate:,.1f}/s")
+            return JobProgress(name, stage, "at work", f"{said.done:,} of {said.total:,}, {said.rate:,.1f}/s")
         lines = read_regular(output, _TAIL, tail=True).decode(errors="replace").splitlines()
     except OSError:
-        return JobStatus(name, stage, "not begun", "")
+        return JobProgress(name, stage, "not begun", "")
     errors = [line.strip("│ ").removeprefix("error: ") for line in lines if line.strip("│ ").startswith("error: ")]
     if not errors and _is_fresh(output):
-        return JobStatus(name, stage, "at work", "begins")
-    return JobStatus(name, stage, "stopped", errors[-1] if errors else "its output has no error")
+        return JobProgress(name, stage, "at work", "begins")
+    return JobProgress(name, stage, "stopped", errors[-1] if errors else "its output has no error")
 
 
 def _is_fresh(path: Path) -> bool:
     return time.time() - path.stat().st_mtime < _STALE_S
 
 
-def document(jobs: list[JobStatus]) -> str:
+def document(jobs: list[JobProgress]) -> str:
     """Return Markdown: the number of jobs of each stage in each state, and the jobs that run or were stopped."""
     states: tuple[JobState, ...] = ("done", "at work", "stopped", "not begun")
     counts = Counter((job.stage, job.state) for job in jobs)

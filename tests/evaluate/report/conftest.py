@@ -1,4 +1,4 @@
-"""Hand-made scores of agents whose skill is known: the shape of a real grid, without a simulator."""
+"""Hand-made scores of agents with known skill: like a real grid, without a simulator."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -34,7 +34,7 @@ class Made(Config, frozen=True):
 
 
 class MadeAt(Made, frozen=True, kw_only=True):
-    """Of scores at a checkpoint."""
+    """Configuration of scores at a checkpoint."""
 
     at: int
 
@@ -62,9 +62,9 @@ def make_policy(
     name: str = "",
     changes: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Path:
-    """A policy with records as `gym-open` writes them; of an agent with a `+` in its name the whole chain to a log.
+    """Make a policy with records as `gym-open` writes them; with a `+` in the agent's name, the whole chain to a log.
 
-    `changes` are of the facts of the policy (`facts`), or of the configuration of an artefact, by its kind.
+    `changes` change the facts of the policy (`facts`), or the configuration of an artefact, by its kind.
     """
 
     def config(kind: str, **usual: Any) -> Made:
@@ -106,7 +106,7 @@ def make_policy(
 
 
 def episodes_of(task: str, skill: float, seed: int, puzzles: int) -> Episodes:
-    """Every puzzle is solved with probability `skill`, at a time that is uniform; some puzzles are easier for all."""
+    """Solve every puzzle with probability `skill`, at a uniformly random step."""
     rng, budget = np.random.default_rng(seed), N[task]
     solved = rng.uniform(size=puzzles) < skill
     steps = np.where(solved, rng.integers(1, budget // 2 + 1, puzzles), budget)
@@ -121,7 +121,7 @@ def write_run(
     draw: int | None = None,
     facts: Mapping[str, Any] | None = None, change: Mapping[str, Any] | None = None,
 ) -> Path:  # fmt: skip
-    """A scores artefact, at a checkpoint if the policy learned for longer; `change` is of fields of scores.json."""
+    """Write scores, of a checkpoint if the policy was trained for longer; `change` changes fields of scores.json."""
     at = trained if policy and trained != artefacts.lineage(policy).facts["steps"] else None
     proof = oracle_proof() if agent == "oracle" else task_free_proof(policy and link(policy))
     if agent == "human":
@@ -184,7 +184,7 @@ def make_run() -> Callable[..., Path]:
 
 @pytest.fixture(scope="session")
 def train() -> Callable[..., Path]:
-    """`make_policy`: a policy artefact and all that it comes from."""
+    """`make_policy`: a policy artefact and everything that it was made from."""
     return make_policy
 
 

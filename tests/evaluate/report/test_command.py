@@ -1,4 +1,4 @@
-"""`gym-open report` as it is typed."""
+"""`gym-open report` on the command line."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What a report refuses, leaves out, or warns of; and names, texts and records that mean harm."""
+"""What a report refuses, leaves out or warns about; hostile names, texts and records."""
 
 import json
 import re
@@ -113,7 +113,7 @@ def test_what_newer_scores_set_aside_is_left_out_and_counted(tmp_path: Path, mak
 
 
 def test_a_longer_training_sets_the_shorter_aside(tmp_path: Path, make_run: Make, train: Make) -> None:
-    """The same commands with more steps; a checkpoint of one policy that lies under such a name is none of these."""
+    """The same commands with more steps; a checkpoint in a folder with such a name is not set aside."""
     for trained in (1000, 2000):
         policy = train(tmp_path / f"made-{trained}", "scratch", "goal-seeking", 0, trained)
         new = make_run(tmp_path / "s" / "a", agent="scratch", trained=trained, policy=policy)
@@ -140,7 +140,7 @@ def test_the_other_split_is_left_out_and_said(tmp_path: Path, make_run: Make) ->
 
 
 def test_weak_evidence_is_called_so(tmp_path: Path, make_run: Make, train: Make) -> None:
-    """One seed, another length, a hole, a run that was not scored to its end, few puzzles, several versions."""
+    """One seed, another length, a task without score, a run not scored to its end, few puzzles, several versions."""
     for agent, seeds, trained in (("scratch", (0, 1), 1000), ("icm", (0,), 500)):
         for seed in seeds:
             policy = train(tmp_path / "made", agent, "goal-seeking", seed, trained)

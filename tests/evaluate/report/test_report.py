@@ -1,4 +1,4 @@
-"""Reports of hand-made scores: the numbers against pandas, and that nothing depends on the place."""
+"""Reports of hand-made scores: numbers are compared with pandas, and nothing depends on the folder."""
 
 import json
 import re
@@ -20,7 +20,7 @@ QUICK = ReportConfig(resamples=200, thresholds=(0.25, 0.9))
 
 
 class Report:
-    """What a report's files hold."""
+    """The content of a report's files."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -112,7 +112,7 @@ def test_what_so_few_runs_can_show_is_said(report: Report) -> None:
 
 
 class _Tags(HTMLParser):
-    """Every start tag with its attributes; complains of tags that are not closed in order."""
+    """Collect every start tag with its attributes; fail if tags are not closed in order."""
 
     VOID = ("meta", "img", "wbr")
 

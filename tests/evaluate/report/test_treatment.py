@@ -1,4 +1,4 @@
-"""Runs of one agent differ in their seeds alone: what is refused, what is not, and what cannot be known."""
+"""Runs of one agent may differ only in their seeds: what is refused, what is allowed, and what cannot be checked."""
 
 import json
 import re
@@ -69,7 +69,7 @@ def test_another_length_or_origin_is_refused_without_any_configuration(
 
 
 def test_seeds_threads_checkpoints_and_names_of_releases_are_free(pair: Callable[..., None], tmp_path: Path) -> None:
-    """The seeds of play and encoder are those of the run (`make_policy`)."""
+    """The seeds of exploration and encoder are the seed of the run (`make_policy`)."""
     free = {"threads": 2, "checkpoints": (500,)}
     pair({"policy": free, "encoder": free, "log": free, "release": {"name": "open/seed1"}})
     table = _report(tmp_path / "scores", tmp_path / "made")
@@ -96,7 +96,7 @@ def test_what_could_not_be_compared_is_said(pair: Callable[..., None], tmp_path:
 
 
 def test_that_nothing_is_told_apart_is_said_of_the_trained_alone(tmp_path: Path, make_run: Make, train: Make) -> None:
-    """Random play is told apart from them, and the sentence is not about it."""
+    """The random agent differs from them, but the sentence is about trained agents."""
     for agent in ("scratch", "icm"):
         policy = train(tmp_path / "made", agent, "goal-seeking", 0, 1000)
         make_run(tmp_path / "scores" / agent, agent=agent, trained=1000, policy=policy, draw=7)

@@ -1,4 +1,4 @@
-"""A benchmark that was stopped half-way: some policies and scores, an encoder, a probe, and what is of no use."""
+"""An unfinished grid: some policies and scores, an encoder and a probe."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -31,7 +31,7 @@ class Made(Config, frozen=True):
 
 
 class MadeAt(Made, frozen=True, kw_only=True):
-    """Of scores at a checkpoint."""
+    """Configuration of scores at a checkpoint."""
 
     at: int
 
@@ -49,7 +49,7 @@ def artefact(
 
 
 def training(agent: str, seed: int, last: int) -> dict[str, Any]:
-    """A curve of training: the return is missing at first, and other runs know it at other steps."""
+    """Make a training curve: the first return is missing, and seeds have returns at different steps."""
     rng = np.random.default_rng([seed, len(agent)])
     rows = [[step, None if step == 100 else float(rng.uniform())] for step in range(100, last + 1, 100 if seed else 50)]
     return {"columns": ["step", "mean_return"], "rows": rows}
@@ -67,7 +67,7 @@ def make_policy(root: Path, agent: str, seed: int) -> Path:
 
 
 def make_scores(out: Path, agent: str, seed: int, trained: int, policy: Path | None) -> Path:
-    """Puzzles are solved with a probability, and at a time, that are drawn."""
+    """Write scores of puzzles that are solved at random, at random steps."""
     rng = np.random.default_rng([trained, seed, len(agent)])
     puzzles, ids = puzzles_of(TASK, "test"), [puzzle_id(TASK, "test", i) for i in range(100)]
     solved, steps = rng.uniform(size=100) < 0.6, rng.integers(1, 100, 100)
@@ -113,7 +113,7 @@ PROBE = {
 
 @pytest.fixture(scope="module")
 def benchmark(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two agents of two and one seeds and random ones, of which one run lacks its end."""
+    """An agent with two seeds, an agent with one seed that lacks its final score, and the random agent."""
     root = tmp_path_factory.mktemp("bench") / "half"
     scores = root / "evaluate/scores"
     for agent, seed in (("scratch", 0), ("scratch", 1), (HOSTILE, 0)):
@@ -131,7 +131,7 @@ Write = Callable[[str, str], Path]
 
 @pytest.fixture
 def write(tmp_path: Path) -> Write:
-    """`write(name, text)` makes a file below a fresh folder `bench`."""
+    """`write(name, text)` makes a file below a new folder `bench`."""
 
     def make(name: str, text: str) -> Path:
         path = tmp_path / "bench" / name

@@ -1,4 +1,4 @@
-"""The recording of a half-finished benchmark, read back: its numbers are those of the report and of the curves."""
+"""The recording of an unfinished grid, read back: its numbers are those of the report and of the curves."""
 
 import json
 import shutil

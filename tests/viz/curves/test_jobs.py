@@ -1,4 +1,4 @@
-"""How far a benchmark is, by what lies in its folder."""
+"""State of a grid, from the files in its folder."""
 
 import os
 import time

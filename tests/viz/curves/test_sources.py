@@ -1,4 +1,4 @@
-"""Scores, probes and reports that could not be true are refused by name, not drawn."""
+"""Scores, probes and reports that cannot be true are refused by name, not drawn."""
 
 import json
 import math
@@ -29,7 +29,7 @@ Spoil = Callable[[dict[str, Any], list[dict[str, Any]]], None]
 
 
 def spoilt(scores: Path, out: Path, spoil: Spoil) -> Path:
-    """A whole artefact of scores whose record and rows are not those that were made."""
+    """Make a whole scores artefact with a changed record and changed rows."""
     record, rows = json.loads((scores / "scores.json").read_bytes()), read_episodes(scores)
     spoil(record, rows)
 

@@ -1,4 +1,4 @@
-"""Scores of three puzzles that are solved, given up and failed; a policy, and what it did of them."""
+"""Scores of three puzzles (solved, not solved, ended in the danger patch), and a policy."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -37,7 +37,7 @@ class Made(Config, frozen=True):
 
 
 class Source(NamedTuple):
-    """Scores, and what was played in them."""
+    """Scores and their episodes."""
 
     path: Path
     actions: list[list[int]]
@@ -45,7 +45,7 @@ class Source(NamedTuple):
 
 
 def into_the_patch(puzzle: Puzzle) -> list[int]:
-    """Straight towards the danger patch, cell by cell."""
+    """Return actions straight towards the danger patch, cell by cell."""
     assert puzzle.patch
     env, goal, found = OpenEnv(TASK), np.array(cell_centre(puzzle.patch.row, puzzle.patch.column)), []
     env.reset(options={"puzzle": puzzle})
@@ -106,7 +106,7 @@ def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def scores(policy: Path, tmp_path_factory: pytest.TempPathFactory) -> Source:
-    """One puzzle solved, one given up, one failed; they say that the policy did it."""
+    """One puzzle solved, one not solved, one ended in the danger patch; the record names the policy."""
     puzzles = puzzles_of(TASK, "test")
     sequences = [list(witnesses_of(TASK, "test")[0].actions), [0] * BUDGET, into_the_patch(puzzles[2])]
     return make_scores(tmp_path_factory.mktemp("scores") / "scores", "small", sequences, artefacts.digest(policy))
@@ -114,14 +114,14 @@ def scores(policy: Path, tmp_path_factory: pytest.TempPathFactory) -> Source:
 
 @pytest.fixture(scope="session")
 def others(tmp_path_factory: pytest.TempPathFactory) -> Source:
-    """Another agent, which solves the second puzzle alone."""
+    """Another agent, which solves only the second puzzle."""
     sequences = [[0] * BUDGET, list(witnesses_of(TASK, "test")[1].actions)]
     return make_scores(tmp_path_factory.mktemp("others") / "scores", "other", sequences)
 
 
 @pytest.fixture(scope="session")
 def half_way(tmp_path_factory: pytest.TempPathFactory) -> Source:
-    """Of two puzzles with a yellow and a green goal, one solved, and one given up when the first goal was touched."""
+    """Two puzzles with a yellow and a green goal: one solved, one with only the first goal touched."""
     first, second = (list(witness.actions) for witness in witnesses_of("preferences", "test")[:2])
     env, taken, budget = OpenEnv("preferences"), 1, step_budget("preferences")
     env.reset(options={"puzzle": puzzles_of("preferences", "test")[1]})
@@ -133,7 +133,7 @@ def half_way(tmp_path_factory: pytest.TempPathFactory) -> Source:
 
 @pytest.fixture(scope="session")
 def seal() -> Callable[[Path], None]:
-    """Makes the manifest of a folder anew, so that its bytes are as it says."""
+    """Write a new manifest for the files of a folder."""
 
     def sealed(folder: Path) -> None:
         entries = {

@@ -1,4 +1,4 @@
-"""A puzzle played again, by a policy and by its witness: held against the simulator, torch, and evaluation itself."""
+"""Episodes of a replay, a policy and the witness, compared with the simulator, torch and the evaluation."""
 
 import shutil
 from collections.abc import Callable
@@ -30,7 +30,7 @@ SOLVED, GIVEN_UP, FAILED = (f"avoidance/{i:03d}" for i in range(3))
 
 
 def check_simulated(episode: PuzzleEpisode, puzzle: str) -> None:
-    """What was kept is what a fresh environment does."""
+    """Compare an episode with a new environment."""
     env = OpenEnv("avoidance")
     image, info = env.reset(options={"puzzle": puzzle_by_id(puzzle)})
     for step, action in enumerate(episode.actions):
@@ -94,7 +94,7 @@ def test_the_policy_behind_scores_says_what_it_made_of_their_episode(scores: Any
 def test_scores_that_do_not_come_out_again_are_refused(
     scores: Any, tmp_path: Path, seal: Callable[[Path], None], at: int, paid: float
 ) -> None:
-    """Whether they say more or less than was earned."""
+    """With a higher and with a lower reward than the replay gives."""
     forged = shutil.copytree(scores.path, tmp_path / "forged")
     table = pq.read_table(forged / EPISODES)
     rows = table.to_pylist()

@@ -1,4 +1,4 @@
-"""Films of puzzles: agents side by side at one pace, each picture as the simulator has it."""
+"""Films of puzzles: agents side by side at the same pace, each image as the simulator draws it."""
 
 from collections.abc import Callable
 from pathlib import Path

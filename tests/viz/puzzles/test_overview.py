@@ -1,4 +1,4 @@
-"""All puzzles of a task at a glance: numbers are those of the scores, colours follow from them."""
+"""Results of all puzzles of a task: numbers are those of the scores, colours follow from them."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""A puzzle's recording read back: entities, timelines and values are those of the episodes."""
+"""The recording of a puzzle, read back: entities, timelines and values are those of the episodes."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Pages of puzzles: film strips, and all puzzles of a task."""
+"""Figures of puzzles: film strips, and all puzzles of a task."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +21,7 @@ PLAIN = VizConfig(film_look="observation")
 
 
 def drawn(paint: Callable[[Figure], None]) -> dict[str, Any]:
-    """The axes of a page by their titles."""
+    """Return the axes of a figure by their titles."""
     figure = Figure(layout="constrained")
     paint(figure)
     return {axes.get_title() or axes.get_title("left"): axes for axes in figure.axes}
