@@ -1,4 +1,4 @@
-"""Logs become a release: `build_release(config, logs, out)`; or are appended to one that there is."""
+"""Build a release from logs, or append logs to a release: `build_release(config, logs, out)`."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -27,14 +27,14 @@ from gym_open.formats.releases.features import Features, features, objects
 from gym_open.formats.releases.layout import PART, Split
 
 _PART_NAME = re.compile(r"[A-Za-z0-9_.-]+")
-"""What LeRobot has in a feature's name, less what is special in paths and patterns."""
+"""Characters that LeRobot allows in the name of a feature, without those special in paths and patterns."""
 
 
 class AppendConfig(ReleaseConfig, frozen=True):
-    """What an appended release is sealed with."""
+    """The configuration recorded in an appended release."""
 
     append: Literal[True] = True
-    """The episodes of the version before are in it, file by file."""
+    """The release contains the episodes of the previous version, file by file."""
 
 
 def build_release(
@@ -43,22 +43,22 @@ def build_release(
 ) -> artefacts.Outcome:  # fmt: skip
     """Build the release `out` from log artefacts.
 
-    The same logs, configuration and previous version give the same bytes in any folder, with any number of workers. A
-    build that was interrupted goes on when it is run again.
+    The same logs, configuration and previous version give the same bytes in any folder, with any number of workers. An
+    interrupted build continues when it is run again.
 
     Args:
-        config: all that decides the release.
-        logs: folders of log artefacts; streams are numbered in their order.
-        out: folder of the release; the versions of one release are siblings called X.Y.Z.
-        previous: release to compare with; the highest lower version beside `out`, if not given and there is one.
-        append: take over the episodes of `previous`, files byte for byte, and add those of `logs`.
-        workers: threads; all processors if not given.
-        replace: set aside what stands at `out` if it was made of other inputs, rather than refuse.
+        config: everything that determines the release.
+        logs: folders of log artefacts. Streams are numbered in this order.
+        out: folder of the release. The versions of a release are sibling folders named X.Y.Z.
+        previous: release to compare with; by default the highest lower version next to `out`, if there is one.
+        append: copy the files of `previous` byte for byte, and add the episodes of `logs`.
+        workers: number of threads; by default one per processor.
+        replace: set aside an artefact of other inputs at `out`; otherwise refuse.
 
     Raises:
-        ArtefactError: if a log is missing, damaged, empty, or not of free play in the sandbox (naming the file), or the
-            version says other than what was changed; no release is left behind.
-        UsageError: if `out` was made of other inputs and `replace` is false, there is nothing to append to, a log
+        ArtefactError: if a log is missing, damaged, empty, or not of exploration in the sandbox (naming the file), or
+            the version does not follow from what changed. No release is left behind.
+        UsageError: if `out` was made from other inputs and `replace` is false, there is nothing to append to, a log
             would be in the release twice, `workers` is below 1, or episodes could be longer than a video may be.
     """
     previous = previous or latest_below(out, config.version)
@@ -81,18 +81,18 @@ def build_release(
 
 
 def _check_append(config: ReleaseConfig, out: Path, previous: Path | None) -> None:
-    """Raises UsageError if there is nothing to append to, or the version is not the one that follows."""
+    """Raise UsageError if there is nothing to append to, or the version is not the next one."""
     if previous is None:
-        raise UsageError(f"{out}: nothing to append to: no version below {config.version} beside it; give --previous")
+        raise UsageError(f"{out}: nothing to append to: no version below {config.version} next to it; give --previous")
     honest = implied(open_release(previous).version, "minor")
     if config.version != honest:
         raise UsageError(
-            f"version {config.version}: what is appended to {previous} makes it {honest}; give --version {honest}"
+            f"version {config.version}: appending to {previous} makes it {honest}; give --version {honest}"
         )
 
 
 def _check_config(config: ReleaseConfig) -> None:
-    """Raises ConfigError if an episode could be longer than a video may be."""
+    """Raise ConfigError if an episode could be longer than a video may be."""
     if config.pictures == "video" and config.max_episode_steps >= MAX_FRAMES:
         raise ConfigError(
             f"max_episode_steps: {config.max_episode_steps} with pictures = 'video': an episode of T steps has T + 1 "
@@ -101,15 +101,15 @@ def _check_config(config: ReleaseConfig) -> None:
 
 
 def _check_new(logs: Sequence[Path], after: Path | None) -> list[str]:
-    """Digests of the logs, after which all logs that the release will hold are told apart.
+    """Return the digests of all logs that the release will hold, each once.
 
     Raises:
-        UsageError: if a log is given twice, or is in the release that is appended to: episodes would be twice.
+        UsageError: if a log is given twice or is in the release already, so that it would hold episodes twice.
     """
     known = held_logs(artefacts.lineage(after)) if after else []
     for log in logs:
         if (digest := artefacts.digest(log)) in known:
-            raise UsageError(f"{log}: given twice, or in the release already: its episodes would be there twice")
+            raise UsageError(f"{log}: given twice, or in the release already: leave it out")
         known.append(digest)
     return known
 
@@ -117,7 +117,7 @@ def _check_new(logs: Sequence[Path], after: Path | None) -> list[str]:
 def _write(
     config: ReleaseConfig, logs: Sequence[Path], folder: Path, after: Release | None, workers: int | None
 ) -> dict[str, Any]:
-    """Write data and meta of a release, or of one that goes on from `after`; return its facts."""
+    """Write `data` and `meta` of a new release, or of one that appends to `after`, and return its facts."""
     streams = streams_of(logs, int(after.table("streams")["stream"].max()) + 1 if after else 0)
     described = _features(config, streams, after)
     check_distinct(streams, after)
@@ -147,11 +147,11 @@ def _write(
 
 
 def _features(config: ReleaseConfig, streams: Sequence[SourceStream], after: Release | None) -> Features:
-    """The features of all streams, or of the release that is appended to, which must have them.
+    """The features of all streams, or those of the release to append to, which must include them.
 
     Raises:
-        ArtefactError: if there is no play, or the streams are of different models.
-        UsageError: if the release that is appended to is of other features or rules.
+        ArtefactError: if there is no segment, or the streams have different models.
+        UsageError: if the release to append to has other features or rules.
     """
     parts = sorted({part for stream in streams for part in stream.log.reward_parts})
     names: tuple[str, ...] = ()
@@ -162,14 +162,14 @@ def _features(config: ReleaseConfig, streams: Sequence[SourceStream], after: Rel
         names = names or first.object_names
         if first.object_names != names:
             raise ArtefactError(
-                f"{stream.log.path}: its objects are {first.object_names}, those of other logs {names}; logs of "
-                "different models do not go into one release"
+                f"{stream.log.path}: its objects are {first.object_names}, those of other logs {names}; build one "
+                "release per model"
             )
     if odd := [part for part in parts if not _PART_NAME.fullmatch(part)]:
         raise ArtefactError(f"part {odd[0]!r} of a reward: expected letters, digits, '_', '-' and '.'; rename it")
     if not names:
         places = ", ".join(str(stream.log.path) for stream in streams) or "no log file"
-        raise ArtefactError(f"{places}: no segment to make a release of; collect some steps first")
+        raise ArtefactError(f"{places}: no segment for a release; collect some steps first")
     if after is None:
         return features(names, parts, config.pictures)
     found = after.info["features"]
@@ -179,14 +179,14 @@ def _features(config: ReleaseConfig, streams: Sequence[SourceStream], after: Rel
     for field, value in settings.items():
         if value != there[field]:
             raise UsageError(
-                f"{after.root}: cannot be appended to: its {field}: {there[field]!r}, now: {value!r}; give the "
+                f"{after.root}: cannot be appended to: its {field} is {there[field]!r}, got {value!r}; give the "
                 "same, or build a release of all logs"
             )
     if lacking := [part for part in parts if PART + part not in found]:
         own = ", ".join(name.removeprefix(PART) for name in found if name.startswith(PART)) or "none"
         raise UsageError(
-            f"{after.root}: cannot be appended to: the logs' rewards have the part {', '.join(lacking)}, which is no "
-            f"feature of it (it has {own}); build a release of these logs and merge the two"
+            f"{after.root}: cannot be appended to: the logs' rewards have the part {', '.join(lacking)}, which it "
+            f"does not have (it has {own}); build a release of these logs and merge the two"
         )
     return found
 

@@ -1,4 +1,4 @@
-"""What decides a dataset release."""
+"""Configurations of dataset releases."""
 
 from typing import Annotated, Literal
 
@@ -17,55 +17,55 @@ PuzzleDigest = Annotated[str, matching(r"^[0-9a-f]{6,64}$", "six hexadecimal dig
 
 
 class Header(Config, frozen=True):
-    """What every release says of itself, however it was made."""
+    """Configuration that every release has, however it was made."""
 
     name: Name = "open/explore"
-    """Namespace and name, as a hub would have it."""
+    """NAMESPACE/NAME, as on a hub."""
     version: Version = "1.0.0"
-    """Semantic version. Of two versions, the second must say what it did to the first."""
+    """Semantic version. It must follow from what changed since the previous version."""
     license: License = "mit"
-    """SPDX identifier of the licence, in small letters as on the hub."""
+    """SPDX identifier of the licence in small letters, as on the hub."""
     published: Date = ""
-    """Day of publication, YYYY-MM-DD, or nothing. No clock is ever read."""
+    """Day of publication, YYYY-MM-DD, or nothing. It never comes from a clock."""
 
 
 class ReleaseConfig(Header, frozen=True):
-    """Logs to a dataset release in LeRobot v3.0 layout."""
+    """Configuration of a release that is built from logs."""
 
     split_by: Literal["stream", "world"] = "world"
-    """What train and val never share. Worlds are told apart by layout, over all streams."""
+    """What train and val never share. Two worlds are the same if their layouts are, also across streams."""
     val_fraction: Fraction = 0.1
-    """Share of the worlds (or streams) set aside for val, rounded; one at least of each where there are two."""
+    """Share of the worlds (or streams) in val, rounded. If there are two or more, each split has at least one."""
     max_episode_steps: Annotated[int, Meta(ge=1, le=MAX_EPISODE_STEPS)] = 1024
-    """A longer segment becomes several episodes. Such a cut is no switch: `ended` says `length_cap`. A multiple of the
-    logs' distance between keyframes makes every episode begin with one."""
+    """A longer segment becomes several episodes. Such a cut is no switch: `ended` is `length_cap`. With a multiple of
+    the logs' distance between keyframes, every episode begins with a keyframe."""
     data_file_mb: PositiveInt = 100
-    """A new data file is begun at this size in memory, in MiB; an episode is never torn."""
+    """Size in memory, in MiB, at which a new data file begins. An episode is never split between files."""
     pictures: Literal["png", "video"] = "png"
-    """PNG files in parquet, bit for bit the logs', or H.264 video beside it: a third of the size, slower at random."""
+    """Images as PNG in parquet, identical to the logs', or as H.264 video: a third of the size, but slower."""
     seed: Seed = 0
-    """Root seed; decides which worlds or streams are set aside."""
+    """Root seed. It determines which worlds or streams are in val."""
 
 
 class MergeConfig(Header, frozen=True):
-    """Several releases to one."""
+    """Configuration of a release that is merged from several releases."""
 
     data_file_mb: PositiveInt = 100
     """As in `ReleaseConfig`."""
 
 
 class FilterConfig(Header, frozen=True):
-    """Some episodes of a release to one of their own. An episode must meet every condition that is given."""
+    """Configuration of a release of selected episodes. An episode must meet every given condition."""
 
     explorer: tuple[str, ...] = ()
-    """Names of explorers, as `icm` or `curl+ride`."""
+    """Names of explorers, such as `icm` or `curl+ride`."""
     world: tuple[PuzzleDigest, ...] = ()
-    """Digests of layouts, or the first six digits or more of them."""
+    """Digests of layouts, or their first six or more digits."""
     min_contact: Fraction = 0.0
-    """Least share of the episode's steps in which the agent touches something."""
+    """Smallest share of an episode's steps in which the agent touches something."""
     min_coverage: Fraction = 0.0
-    """Least share of the table's 5 cm cells that the agent visits in the episode."""
+    """Smallest share of the table's 5 cm cells that the agent visits in an episode."""
     split: tuple[Split, ...] = ()
-    """Splits to take."""
+    """Splits to select."""
     data_file_mb: PositiveInt = 100
     """As in `ReleaseConfig`."""

@@ -1,7 +1,7 @@
-"""Releases made of episodes of other releases: what `merge` and `filter` share.
+"""Releases that are made from episodes of other releases: shared parts of `merge` and `filter`.
 
-PNG files and numbers are taken over as they are. Streams are numbered anew, in their order, and so are logs; rows of
-our tables come along with the streams that are kept.
+PNG files and numbers are copied unchanged. Streams and logs get new numbers, in their order. The rows of our tables
+follow the streams that are kept.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -26,36 +26,36 @@ if TYPE_CHECKING:
 
 
 class KeptEpisodes(msgspec.Struct, frozen=True, eq=False):
-    """What of a release goes into another."""
+    """The part of a release that goes into another release."""
 
     release: Release
     numbers: np.ndarray
-    """Of the episodes, ascending."""
+    """Numbers of the episodes, ascending."""
     streams: Mapping[int, int]
-    """New number of each stream that is kept."""
+    """New number of each kept stream."""
     logs: Mapping[int, int]
-    """New number of the log of each stream, by the stream's old number."""
+    """New number of the log of each stream, by the old number of the stream."""
     splits: Mapping[str, Split]
-    """Split of each layout in the new release; empty if splits go by stream, where they stay as they are."""
+    """Split of each layout in the new release. Empty if splits go by stream, because those do not change."""
     lacking: Sequence[str]
-    """Parts of the reward that other releases have."""
+    """Parts of the reward that only the other releases have."""
     held: Sequence[str]
-    """Digests of the logs of the streams that are kept."""
+    """Digests of the logs of the kept streams."""
 
     @property
     def rows(self) -> "pd.DataFrame":
-        """Rows of `meta/episodes`, splits as they will be."""
+        """Rows of `meta/episodes`, with the new splits."""
         rows = self.release.episodes.iloc[self.numbers]
         return rows.assign(split=rows["puzzle"].map(self.splits)) if self.splits else rows
 
     @property
     def shares(self) -> dict[Split, Share]:
-        """How many episodes and frames each split gets."""
+        """Number of episodes and frames by split."""
         groups = self.rows.groupby("split")["length"]
         return {split: Share(int(groups.count().get(split, 0)), int(groups.sum().get(split, 0))) for split in SPLITS}
 
     def episodes(self) -> Iterator[SourceEpisode]:
-        """The episodes, with the numbers and splits that they get."""
+        """The episodes, with their new numbers and splits."""
         for episode in episodes_of_release(self.release, self.numbers.tolist()):
             row = {**episode.row, "stream": self.streams[episode.row["stream"]]}
             row["split"] = self.splits.get(row["puzzle"], row["split"])
@@ -64,7 +64,7 @@ class KeptEpisodes(msgspec.Struct, frozen=True, eq=False):
             yield msgspec.structs.replace(episode, row=row, numbers=numbers)
 
     def table(self, name: Table) -> pa.Table:
-        """Rows of `streams`, `worlds` or `switches` of the streams that are kept."""
+        """Rows of `streams`, `worlds` or `switches` for the kept streams."""
         table = self.release.arrow_table(name)
         old = table["stream"].to_numpy()
         table = table.filter(pa.array(np.isin(old, list(self.streams))))
@@ -85,11 +85,11 @@ def derive(
     config: MergeConfig | FilterConfig, command: Literal["merge", "filter"], out: Path,
     chosen: Sequence[tuple[Release, np.ndarray]], *, workers: int | None, replace: bool,
 ) -> artefacts.Outcome:  # fmt: skip
-    """Make the release `out` of chosen episodes (their numbers, ascending) of releases of the same model and rules.
+    """Make the release `out` from chosen episodes (numbers, ascending) of releases with the same model and rules.
 
     Raises:
-        ArtefactError: if a release is damaged, or the version says other than what was changed since the one before.
-        UsageError: if `out` was made of other inputs and `replace` is false.
+        ArtefactError: if a release is damaged, or the version does not follow from what changed since the previous one.
+        UsageError: if `out` was made from other inputs and `replace` is false.
     """
     check_workers(workers)
     releases = [release for release, _ in chosen]
@@ -106,7 +106,7 @@ def derive(
 
 
 def _kept(chosen: Sequence[tuple[Release, np.ndarray]]) -> list[KeptEpisodes]:
-    """Number streams and logs through all releases; a layout that is in val anywhere is in val everywhere."""
+    """Number streams and logs across all releases. A layout that is in val in one release is in val in the result."""
     splits: dict[str, Split] = {}
     if chosen[0][0].info["gym_open"]["split_by"] == "world":
         for release, _ in chosen:
@@ -138,7 +138,7 @@ def _kept(chosen: Sequence[tuple[Release, np.ndarray]]) -> list[KeptEpisodes]:
 
 
 def _held(release: Release, places: Sequence[tuple[int, int]], kept: set[tuple[int, int]]) -> list[str]:
-    """Digests of the logs at the places (batch, log) that are kept; of all, if they cannot be told apart."""
+    """Digests of the logs at the kept places (batch, log), or of all logs if the places do not fit the digests."""
     digests = held_logs(artefacts.lineage(release.root))
     if len(digests) != len(places):
         return digests
@@ -148,7 +148,7 @@ def _held(release: Release, places: Sequence[tuple[int, int]], kept: set[tuple[i
 def _write(
     config: MergeConfig | FilterConfig, sources: Sequence[KeptEpisodes], folder: Path, workers: int | None
 ) -> dict[str, Any]:
-    """Write data and meta and return the facts."""
+    """Write `data` and `meta` and return the facts."""
     info = sources[0].release.info
     described = {name: feature for source in sources for name, feature in source.release.info["features"].items()}
     split_by = info["gym_open"]["split_by"]

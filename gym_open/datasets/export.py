@@ -1,4 +1,4 @@
-"""A split of a release in the forms of others: one NumPy file, or a Minari data set. Whole or absent."""
+"""Export a split of a release as one NumPy file or as a Minari data set. The result is whole or absent."""
 
 import shutil
 import zipfile
@@ -29,25 +29,25 @@ _INFOS = ("reward.intrinsic", "world_model.loss", "policy.entropy", "policy.valu
 def export_npz(root: Path, split: str, out: Path) -> Path:
     """Write a split of the release at `root` as one file for `numpy.load(out, allow_pickle=False)`.
 
-    Its n frames are those of the split's m episodes, in their order. Keys:
+    The file holds the n frames of the m episodes of the split, in their order. Keys:
 
         observation.image           (n, 84, 84, 3) uint8 RGB
         any other feature           (n,) or (n, d), as in the release; `episode_index` counts within the release
-        episode_starts              (m + 1,) int64: episode i is the rows from `starts[i]` to `starts[i + 1]`
+        episode_starts              (m + 1,) int64: episode i has the rows from `starts[i]` to `starts[i + 1]`
         episode_explorer            (m,) text
         episode_puzzle              (m,) text: digests of the layouts
 
     An episode of T actions has T + 1 rows; `transition.valid` is False in the last. Memory does not depend on n:
-    pictures go into the file as they are decoded.
+    images are written to the file as they are decoded.
 
     Args:
-        root: folder of a release; every byte of it is checked.
+        root: folder of a release. Every byte of it is checked.
         split: `train` or `val`.
-        out: file to make.
+        out: file to write.
 
     Raises:
         ArtefactError: if the release is damaged.
-        UsageError: if there is no such split, or `out` exists.
+        UsageError: if there is no such split, or `out` exists already.
     """
     release, rows = _opened(root, split)
     lengths = rows["length"].to_numpy()
@@ -82,20 +82,20 @@ def export_minari(root: Path, split: str, out: Path, dataset_id: str) -> Path:
     """Write a split of the release at `root` as a Minari data set, in a folder of Minari's own.
 
     With MINARI_DATASETS_PATH set to `out`, `minari.load_dataset(dataset_id)` reads it; so does
-    `minari.MinariDataset(out / dataset_id / "data")`. An episode of T actions has T + 1 observations: the pictures as
-    `image`, which are not made JPEG, `state` and `environment_state`. Actions are Discrete(9), rewards the extrinsic
-    ones, which are 0. No episode terminates, each ends truncated. `infos` has what the explorer made of each step, at
-    the index of the observation that the step led to; before the first step stands NaN, or 0.
+    `minari.MinariDataset(out / dataset_id / "data")`. An episode of T actions has T + 1 observations: the images as
+    `image` (not compressed to JPEG), `state` and `environment_state`. Actions are Discrete(9). Rewards are extrinsic
+    and always 0. Every episode ends truncated. `infos` has the explorer's values for each step, at the index of the
+    observation after the step. The first value is NaN or 0.
 
     Args:
-        root: folder of a release; every byte of it is checked.
+        root: folder of a release. Every byte of it is checked.
         split: `train` or `val`.
-        out: folder of Minari data sets; others in it stay.
+        out: folder of Minari data sets; others in it are kept.
         dataset_id: NAMESPACE/NAME-vN.
 
     Raises:
         ArtefactError: if the release is damaged.
-        UsageError: if there is no such split, the data set is there, or the id is none of Minari's.
+        UsageError: if there is no such split, the data set exists already, or the id is not valid in Minari.
         MissingExtraError: if Minari is not installed.
     """
     extras.check("minari")
@@ -120,10 +120,10 @@ def export_minari(root: Path, split: str, out: Path, dataset_id: str) -> Path:
         for number, row in enumerate(rows.to_dict("records")):
             span = (row["dataset_from_index"], row["dataset_to_index"])
             storage.update_episodes([_buffer(release, *span)])
-            told = {
+            metadata = {
                 name: row[name] for name in ("explorer", "puzzle", "stream", "segment", "piece", "continued", "ended")
             }
-            storage.update_episode_metadata([told], [number])
+            storage.update_episode_metadata([metadata], [number])
             bar.advance(row["length"])
         target.parent.mkdir(parents=True, exist_ok=True)
         for folder in (out / namespace, *(out / namespace).parents) if namespace else ():
@@ -134,7 +134,7 @@ def export_minari(root: Path, split: str, out: Path, dataset_id: str) -> Path:
 
 
 def _opened(root: Path, split: str) -> "tuple[Release, pd.DataFrame]":
-    """The release, every byte of it checked, and the rows of `meta/episodes` of a split."""
+    """Open a release, check every byte of it, and return it with the rows of `meta/episodes` of a split."""
     release = open_release(root, check="bytes")
     rows = release.episodes[release.episodes["split"] == split]
     if not len(rows):
@@ -145,11 +145,11 @@ def _opened(root: Path, split: str) -> "tuple[Release, pd.DataFrame]":
 
 @contextmanager
 def _beside(out: Path, target: Path | None = None) -> Iterator[Path]:
-    """A path beside `out` to make and to rename to `out`, or to `target` in it; what is left there is removed.
+    """A path next to `out`, to write and to rename to `out` or to `target` in it. Leftovers are removed.
 
     Raises:
-        UsageError: if that exists.
-        ArtefactError: if the disk is full, or does not take it.
+        UsageError: if the result exists already.
+        ArtefactError: if the disk is full or not writable.
     """
     for taken in (target, None if out.is_dir() and target else out):
         if taken is not None and taken.exists():
@@ -166,12 +166,12 @@ def _beside(out: Path, target: Path | None = None) -> Iterator[Path]:
 
 
 def _spans(rows: "pd.DataFrame") -> Iterator[tuple[int, int]]:
-    """First frame and the one after the last of each episode."""
+    """First frame and the frame after the last, for each episode."""
     yield from zip(rows["dataset_from_index"].tolist(), rows["dataset_to_index"].tolist(), strict=True)
 
 
 def _write_numbers(release: Release, rows: "pd.DataFrame", folder: Path, bar: progress.Bar) -> dict[str, Path]:
-    """Write every numeric feature to a `.npy` file of its own, side by side, and return the files by name."""
+    """Write every numeric feature to a `.npy` file of its own, and return the files by name."""
     described, frames = release.info["features"], int(rows["length"].sum())
     paths = {name: folder / f"{name}.npy" for name in numeric(described)}
     with ExitStack() as stack:
@@ -187,7 +187,7 @@ def _write_numbers(release: Release, rows: "pd.DataFrame", folder: Path, bar: pr
 
 
 def _begin(file: Any, dtype: np.dtype, shape: tuple[int, ...]) -> None:
-    """Write the head of a `.npy` file; the values follow in C order."""
+    """Write the header of a `.npy` file. The values follow in C order."""
     head = {"descr": npy.dtype_to_descr(dtype.newbyteorder("<")), "fortran_order": False, "shape": shape}
     npy.write_array_header_1_0(file, head)
 
@@ -215,26 +215,26 @@ def _spaces(release: Release) -> tuple[Any, Any]:
 
 
 def _buffer(release: Release, first: int, stop: int) -> "EpisodeBuffer":
-    """An episode as Minari has it."""
+    """An episode in the form of Minari."""
     from minari.data_collector.episode_buffer import EpisodeBuffer
 
     values: Mapping[str, np.ndarray] = release.numbers(first, stop)
-    told = [name for name in values if name in _INFOS or name.startswith(PART)]
+    infos = [name for name in values if name in _INFOS or name.startswith(PART)]
     return EpisodeBuffer(
         observations={
             "image": release.images(np.arange(first, stop)),
             "state": values["observation.state"],
             "environment_state": values["observation.environment_state"],
         },
-        actions=values["action.index"][:-1],  # type: ignore[arg-type]  # an array does as well as a list
+        actions=values["action.index"][:-1],  # type: ignore[arg-type]  # an array works like a list
         rewards=values["next.reward"][:-1],  # type: ignore[arg-type]
         terminations=values["next.done"][:-1],  # type: ignore[arg-type]
         truncations=values["next.truncated"][:-1],  # type: ignore[arg-type]
-        infos={name: _led_to(values[name]) for name in told},
+        infos={name: _led_to(values[name]) for name in infos},
     )
 
 
 def _led_to(values: np.ndarray) -> np.ndarray:
-    """Values of steps, as frames have them, moved to the frames that the steps led to."""
+    """Move the values of steps, as frames have them, to the frames after the steps."""
     nothing = np.nan if np.issubdtype(values.dtype, np.floating) else 0
     return np.concatenate([np.array([nothing], dtype=values.dtype), values[:-1]])

@@ -1,4 +1,4 @@
-"""Some episodes of a release become one of their own: `filter_release(config, release, out)`."""
+"""Make a release from selected episodes of another one: `filter_release(config, release, out)`."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,20 +16,21 @@ from gym_open.formats.releases import Release, open_release
 def filter_release(
     config: FilterConfig, release: Path, out: Path, *, workers: int | None = None, replace: bool = False
 ) -> artefacts.Outcome:
-    """Make the release `out` of the episodes of `release` that meet all conditions of `config`.
+    """Make the release `out` from the episodes of `release` that meet all conditions of `config`.
 
-    Of the values of one condition, any will do. Splits stay what they are.
+    If a condition has several values, an episode must match one of them. Splits do not change.
 
     Args:
         config: the conditions, and name, version and so on of the result.
-        release: folder of a release; it becomes the parent.
-        out: folder of the result; versions of one release are siblings called X.Y.Z.
-        workers: threads; all processors if not given.
-        replace: set aside what stands at `out` if it was made of other inputs, rather than refuse.
+        release: folder of a release, which becomes the parent.
+        out: folder of the result. The versions of a release are sibling folders named X.Y.Z.
+        workers: number of threads; by default one per processor.
+        replace: set aside an artefact of other inputs at `out`; otherwise refuse.
 
     Raises:
-        ArtefactError: if the release is damaged, or the version says other than what was changed since the one before.
-        UsageError: if it has no such explorer, world or split, or no episode meets all conditions.
+        ArtefactError: if the release is damaged, or the version does not follow from what changed since the previous
+            one.
+        UsageError: if the release has no such explorer, world or split, or no episode meets all conditions.
     """
     opened = open_release(release)
     return derive(config, "filter", out, [(opened, _chosen(config, opened))], workers=workers, replace=replace)
@@ -43,7 +44,7 @@ def _chosen(config: FilterConfig, release: Release) -> np.ndarray:
         for value in wanted:
             if value not in set(rows[name]):
                 raise UsageError(
-                    f"{release.root}: no {name} {value!r} there; it has {', '.join(sorted(set(rows[name])))}"
+                    f"{release.root}: no {name} {value!r}; give one of {', '.join(sorted(set(rows[name])))}"
                 )
         if wanted:
             meets &= rows[name].isin(wanted).to_numpy()
@@ -55,25 +56,25 @@ def _chosen(config: FilterConfig, release: Release) -> np.ndarray:
             for contact, coverage in _measured(release, np.flatnonzero(meets))
         ]
     if not meets.any():
-        raise UsageError(f"{release.root}: none of its {len(rows):,} episodes meets all conditions; ask for less")
+        raise UsageError(f"{release.root}: none of its {len(rows):,} episodes meets all conditions; relax a condition")
     return np.flatnonzero(meets)
 
 
 def _worlds(config: FilterConfig, release: Release) -> set[str]:
-    """Digests of the layouts that `config.world` names, by their beginnings."""
+    """Digests of the layouts whose beginnings `config.world` gives."""
     there = sorted(set(release.episodes["puzzle"]))
     found: set[str] = set()
     for beginning in config.world:
         named = {digest for digest in there if digest.startswith(beginning)}
         if not named:
             some = ", ".join(digest[:12] for digest in there[:5]) + (" …" if len(there) > 5 else "")
-            raise UsageError(f"{release.root}: no world {beginning!r} was played; it has {len(there):,}: {some}")
+            raise UsageError(f"{release.root}: no world {beginning!r}; give one of its {len(there):,}: {some}")
         found |= named
     return found
 
 
 def _measured(release: Release, episodes: np.ndarray) -> Iterator[tuple[float, float]]:
-    """Of each episode: share of the steps with a contact of the agent, share of the table's cells that it was in."""
+    """For each episode: share of steps with a contact of the agent, and share of the table's cells that it visited."""
     cells = (len(X_EDGES) - 1) * (len(Y_EDGES) - 1)
     rows = release.episodes
     for number in episodes:

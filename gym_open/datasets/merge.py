@@ -1,4 +1,4 @@
-"""Several releases become one: `merge_releases(config, releases, out)`."""
+"""Merge several releases into one: `merge_releases(config, releases, out)`."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,32 +13,32 @@ from gym_open.formats.releases import Release, open_release
 from gym_open.formats.releases.layout import IMAGE, PART
 
 _RULES = ("split_by", "max_episode_steps", "pictures")
-"""What releases that go together must have in common, beside their features."""
-_PLAY = (IMAGE, "action.index", "reward.intrinsic")
-"""Features that tell one play from another."""
+"""Settings that merged releases must have in common, in addition to their features."""
+_IDENTITY = (IMAGE, "action.index", "reward.intrinsic")
+"""Features by which two episodes are recognised as the same."""
 
 
 def merge_releases(
     config: MergeConfig, releases: Sequence[Path], out: Path, *, workers: int | None = None, replace: bool = False
 ) -> artefacts.Outcome:
-    """Make the release `out` of all episodes of `releases`, in their order, each split's together.
+    """Make the release `out` from all episodes of `releases`, in their order, with those of each split together.
 
-    Where splits go by world, a layout that is in val in any of them is in val in the result, so that nobody who trained
-    on one of them has seen what is held out. The same releases and configuration give the same bytes.
+    If splits go by world, a layout that is in val in one of the releases is in val in the result. The same releases and
+    configuration give the same bytes.
 
-    Releases may differ in what the intrinsic rewards are made of: an explorer's parts are NaN where others played.
+    Releases may differ in the parts of the intrinsic reward: parts that an explorer does not have are NaN.
 
     Args:
         config: name, version and so on of the result.
-        releases: folders of releases of the same model and rules; they become its parents.
-        out: folder of the result; versions of one release are siblings called X.Y.Z.
-        workers: threads; all processors if not given.
-        replace: set aside what stands at `out` if it was made of other inputs, rather than refuse.
+        releases: folders of releases with the same model and rules, which become the parents.
+        out: folder of the result. The versions of a release are sibling folders named X.Y.Z.
+        workers: number of threads; by default one per processor.
+        replace: set aside an artefact of other inputs at `out`; otherwise refuse.
 
     Raises:
-        ArtefactError: if a release is damaged, or the version says other than what was changed since the one before.
-        UsageError: if there is no release, two hold the same episode, or they differ in a feature or rule (which is
-            named).
+        ArtefactError: if a release is damaged, or the version does not follow from what changed since the previous one.
+        UsageError: if there is no release, two of them hold the same episode, or they differ in a feature or rule
+            (naming it).
     """
     opened = [open_release(path) for path in releases]
     if not opened:
@@ -51,20 +51,20 @@ def merge_releases(
 
 
 def _check_distinct(releases: Sequence[Release]) -> None:
-    """Raises UsageError if two releases hold the same play: it would be counted twice, and could be in both splits."""
+    """Raise UsageError if two releases hold the same episode: it would count twice, and could be in both splits."""
     seen: dict[tuple[str, ...], tuple[Path, int]] = {}
     for release in releases:
-        content = release.table("content")[list(_PLAY)]
+        content = release.table("content")[list(_IDENTITY)]
         rows = release.episodes[["explorer", "puzzle"]]
         own = list(zip(*(rows[name] for name in rows), *(content[name] for name in content), strict=True))
-        for number, play in enumerate(own):
-            if play in seen:
-                root, first = seen[play]
+        for number, episode in enumerate(own):
+            if episode in seen:
+                root, first = seen[episode]
                 raise UsageError(
                     f"{release.root}: its episode {number} is episode {first} of {root}; it would be counted twice: "
                     "leave one of the releases out, or filter it"
                 )
-        seen |= {play: (release.root, number) for number, play in enumerate(own)}
+        seen |= {episode: (release.root, number) for number, episode in enumerate(own)}
 
 
 def _check_alike(one: Release, other: Release) -> None:
@@ -72,7 +72,7 @@ def _check_alike(one: Release, other: Release) -> None:
     for name in sorted(name for name in {*mine, *yours} if not name.startswith(PART)):
         if mine.get(name) != yours.get(name):
             lacking = next((item.root for item, has in ((one, mine), (other, yours)) if name not in has), None)
-            what = f"{lacking} lacks it" if lacking else "they describe it otherwise"
+            what = f"{lacking} lacks it" if lacking else "their descriptions of it differ"
             raise UsageError(
                 f"{one.root} and {other.root} differ in the feature {name!r}: {what}; releases that are merged must "
                 "have the same features"

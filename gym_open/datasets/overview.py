@@ -1,4 +1,4 @@
-"""Releases at a glance: what is in one, and which there are below a folder. Nothing is hashed here."""
+"""Tables about releases: the contents of one, and a list of all below a folder. No file is hashed."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -20,17 +20,17 @@ from gym_open.terminal import markup, titled_table
 
 
 def info_tables(root: Path) -> list[Table]:
-    """What is in the release at `root`: names and digests, splits, explorers, features.
+    """Describe the release at `root`: names and digests, splits, explorers, features.
 
     Raises:
-        ArtefactError: if it is missing, not a release, or its records are not readable.
+        ArtefactError: if it is missing, is no release, or its records are not readable.
     """
     release = _look(root)
     return [_facts(release), _splits(release), _explorers(release), _features(release)]
 
 
 def summary_tables(root: Path) -> list[Table]:
-    """The first two of `info_tables`: what has just been made.
+    """Summarise a release that was just made, by the first two of `info_tables`.
 
     Raises:
         ArtefactError: as `info_tables` does.
@@ -40,7 +40,7 @@ def summary_tables(root: Path) -> list[Table]:
 
 
 def list_table(folder: Path) -> Table:
-    """All releases below `folder`, hidden folders left out. What cannot be read is listed with the reason.
+    """List all releases below `folder`, except in hidden folders. An unreadable one is listed with the reason.
 
     Raises:
         ArtefactError: if there is no such folder.
@@ -68,14 +68,14 @@ def _facts(release: Release) -> Table:
     entries = artefacts.manifest(release.root)
     steps = int(episodes["steps"].sum())
     parents = artefacts.lineage(release.root).parents
-    table = Table.grid(padding=(0, 1))  # so that a digest fits into 80 columns
+    table = Table.grid(padding=(0, 1))  # a digest fits into 80 columns
     table.title, table.title_justify = markup(f"{release.name} {release.version}"), "left"
     for name, value in (
         ("frames", f"{len(release):,} in {len(episodes):,} episodes"),
         ("actions", f"{steps:,}: {steps / fps() / 60:,.1f} simulated minutes"),
         ("streams", f"{episodes['stream'].nunique():,}"),
         ("worlds", f"{episodes['puzzle'].nunique():,} distinct layouts"),
-        ("pictures", ours["pictures"]),
+        ("images", ours["pictures"]),
         ("size", f"{payload.total_bytes(entries) / 1e6:,.1f} MB in {len(entries):,} files"),
         ("batches", f"{ours['batches']}: one build" + f" and {ours['batches'] - 1} appended" * (ours["batches"] > 1)),
         ("licence", ours["license"]),
@@ -83,7 +83,7 @@ def _facts(release: Release) -> Table:
         ("digest", release.digest),
         ("payload digest", payload_digest(entries)),
         ("content digest", payload.digests(release.root).release),
-        ("made of", "\n".join(f"{parent.lineage.kind} {parent.digest[:16]}" for parent in parents)),
+        ("made from", "\n".join(f"{parent.lineage.kind} {parent.digest[:16]}" for parent in parents)),
         ("code", artefacts.lineage(release.root).code),
     ):
         table.add_row(name, markup(value))
@@ -119,7 +119,7 @@ def _features(release: Release) -> Table:
 
 
 def _roots(folder: Path) -> Iterator[Path]:
-    """Folders that look like a release, whole or not; `folder` itself may be one."""
+    """Folders that look like a release, whole or damaged. `folder` itself may be one."""
     if (folder / INFO_PATH).exists():
         yield folder
         return
@@ -133,7 +133,7 @@ def _roots(folder: Path) -> Iterator[Path]:
 
 
 def _kind(root: Path) -> str | None:
-    """Kind of the artefact at `root`; None if it is none that can be told."""
+    """Kind of the artefact at `root`, or None if it cannot be read."""
     try:
         return artefacts.lineage(root).kind
     except ArtefactError:
@@ -141,7 +141,7 @@ def _kind(root: Path) -> str | None:
 
 
 def _row(root: Path, folder: Path) -> tuple[tuple[str, tuple[int, int, int]], list[str]]:
-    """What to sort by, and the cells."""
+    """The key to sort by, and the cells."""
     place = root.relative_to(folder).as_posix()
     try:
         release = _look(root)

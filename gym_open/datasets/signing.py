@@ -1,6 +1,6 @@
-"""Signatures of releases: a sigstore bundle at `signature.json`, made and checked off-line with an elliptic-curve key.
+"""Sign releases with a sigstore bundle, `signature.json`, and check it, off-line, with an elliptic-curve key.
 
-The bundle is that of model-signing, which verifies it without us; it covers every file of the release but itself.
+The bundle has the format of model-signing, which can also verify it. It covers every file of the release except itself.
 """
 
 import hashlib
@@ -26,15 +26,15 @@ _PUBLIC_OF = "its public half is made with: openssl ec -in KEY.pem -pubout -out 
 def sign_release(root: Path, key: Path) -> Path:
     """Sign the whole release at `root` and return the path of its signature.
 
-    A signature by the same key that still holds is left as it is: two signatures of the same bytes differ.
+    A valid signature by the same key is kept, because two signatures of the same bytes differ.
 
     Args:
-        root: folder of a release; every byte of it is checked first.
+        root: folder of a release. Every byte of it is checked first.
         key: PEM file of a private key on the curve P-256, P-384 or P-521, without a password.
 
     Raises:
         ArtefactError: if the release is damaged.
-        UsageError: if the key is missing or of another kind.
+        UsageError: if the key is missing or has another type.
         MissingExtraError: if model-signing is not installed.
     """
     signing, hashing = _library()
@@ -53,36 +53,36 @@ def sign_release(root: Path, key: Path) -> Path:
 
 
 def check_signature(root: Path, key: Path | None) -> str:
-    """Say in a line who signed the release at `root`, and with `key` check it against every byte.
+    """Return one line about who signed the release at `root`. With `key`, check the signature against every byte.
 
     Args:
         root: folder of a release.
-        key: PEM file of the signer's public key; without it nothing is checked.
+        key: PEM file of the signer's public key. Without it nothing is checked.
 
     Raises:
-        ArtefactError: if there is a key and no signature, the signature is of another key or of other bytes, or it is
-            no sigstore bundle.
-        UsageError: if the key is missing or of another kind.
+        ArtefactError: if there is a key and no signature, the signature belongs to another key or other bytes, or it
+            is no sigstore bundle.
+        UsageError: if the key is missing or has another type.
         MissingExtraError: if there is a key and model-signing is not installed.
     """
     path = root / SIGNATURE
     if path.is_file() and path.stat().st_size > MAX_SIGNATURE_BYTES:
-        raise ArtefactError(f"{path}: over {MAX_SIGNATURE_BYTES:,} bytes, which no signature has; get it anew")
+        raise ArtefactError(f"{path}: over {MAX_SIGNATURE_BYTES:,} bytes, more than any signature; download it again")
     if key is None:
         return f"signed by {_hint(path)}, not checked: give --key" if path.exists() else "not signed"
     signing, hashing = _library()
     fingerprint = _fingerprint(_load(key, private=False))
     if not path.is_file():
-        raise ArtefactError(f"{path}: missing: the release is not signed, and --key asks for a signature")
+        raise ArtefactError(f"{path}: missing: the release is not signed, but --key asks for a signature")
     if (hint := _hint(path)) != fingerprint:
         raise ArtefactError(f"{path}: signed by the key {hint}, not by {key} ({fingerprint}); is it the signer's key?")
     try:
         config = signing.verifying.Config().set_hashing_config(hashing).use_elliptic_key_verifier(public_key=key)
         config.verify(root.resolve(), path)
         _check_whole(root, path)
-    except Exception as error:  # what a hostile bundle makes the parsers under model-signing raise is not to be listed
+    except Exception as error:  # a hostile bundle can make parsers raise anything
         what = str(error) or type(error).__name__
-        raise ArtefactError(f"{path}: does not hold for this release: {what}; get it anew from its source") from None
+        raise ArtefactError(f"{path}: is not valid for this release: {what}; get it again from its source") from None
     return f"signed by the key {fingerprint}"
 
 
@@ -95,14 +95,14 @@ def _library() -> "tuple[Any, Hashing]":
 
 
 def _load(key: Path, *, private: bool) -> "EllipticCurvePublicKey":
-    """The public key in `key`, or the public half of the private one."""
+    """Load the public key in `key`, or the public half of a private key."""
     from cryptography.hazmat.primitives import serialization
     from cryptography.hazmat.primitives.asymmetric import ec
 
     try:
         data = key.read_bytes()
     except OSError as error:
-        raise UsageError(f"{key}: no key can be read there ({error.strerror}); {_MAKE_A_KEY}") from None
+        raise UsageError(f"{key}: cannot be read ({error.strerror}); {_MAKE_A_KEY}") from None
     wanted = "a private key" if private else "a public key"
     remedy = _MAKE_A_KEY if private else _PUBLIC_OF
     try:
@@ -112,7 +112,7 @@ def _load(key: Path, *, private: bool) -> "EllipticCurvePublicKey":
             found = serialization.load_pem_public_key(data)
     except TypeError:
         raise UsageError(f"{key}: has a password; give one without: openssl ec -in KEY.pem -out PLAIN.pem") from None
-    except Exception:  # cryptography raises its own kinds by format
+    except Exception:  # cryptography raises different exceptions for each format
         raise UsageError(f"{key}: not {wanted} in PEM form; {remedy}") from None
     if not (isinstance(found, ec.EllipticCurvePublicKey) and found.key_size in {256, 384, 521}):
         raise UsageError(f"{key}: must be {wanted} on the curve P-256, P-384 or P-521; {remedy}")
@@ -126,12 +126,12 @@ def _pem(key: "EllipticCurvePublicKey") -> bytes:
 
 
 def _fingerprint(key: "EllipticCurvePublicKey") -> str:
-    """SHA-256 of the public key's PEM form: what model-signing calls the key's hint."""
+    """SHA-256 of the public key in PEM form, which model-signing calls the hint of the key."""
     return hashlib.sha256(_pem(key)).hexdigest()
 
 
 def _hint(path: Path) -> str:
-    """Which key a bundle says that it is signed with; nothing proves it."""
+    """The key that a bundle claims; nothing proves it."""
     try:
         hint = json.loads(path.read_bytes())["verificationMaterial"]["publicKey"]["hint"]
         bytes.fromhex(hint)
@@ -141,10 +141,10 @@ def _hint(path: Path) -> str:
 
 
 def _check_whole(root: Path, path: Path) -> None:
-    """Check what model-signing leaves open: parts of the bundle that it does not read, files that a signer left out.
+    """Check what model-signing does not: parts of the bundle that it ignores, and files that a signer left out.
 
     Raises:
-        ValueError: if the bundle is not byte for byte what its parsed content is written as, or covers too little.
+        ValueError: if the bundle is not the canonical encoding of its content, or covers too few files.
     """
     from sigstore_models.bundle.v1 import Bundle
 

@@ -145,8 +145,8 @@ def test_what_is_left_verifies_even_with_holes(
 
 def test_what_is_not_there_is_named(release: Release, tmp_path: Path) -> None:
     for conditions, what in (
-        ({"explorer": ("rnd",)}, r"no explorer 'rnd' there; it has curl\+ride, unknown"),
-        ({"world": ("ffffffffffff",)}, "no world 'ffffffffffff' was played"),
+        ({"explorer": ("rnd",)}, r"no explorer 'rnd'; give one of curl\+ride, unknown"),
+        ({"world": ("ffffffffffff",)}, "no world 'ffffffffffff'; give one of"),
         ({"min_contact": 1.0, "min_coverage": 1.0}, "meets all conditions"),
     ):
         with pytest.raises(UsageError, match=what):

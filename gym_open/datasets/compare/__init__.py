@@ -1,1 +1,1 @@
-"""What changed between two releases, and the version that follows from it."""
+"""Find what changed between two releases, and the version that follows from it."""

@@ -1,7 +1,7 @@
-"""What changed between two releases, by file and by meaning, and the version bump that it implies.
+"""Find what changed between two releases, by file and by meaning, and the version bump that follows.
 
-Everything is read from the content digests that the releases carry (`meta/content`, `meta/digests.json`): no frame is
-decoded. They are taken at their word here; `gym-open dataset verify` computes them anew.
+The comparison uses the content digests in the releases (`meta/content`, `meta/digests.json`): it decodes no frame. It
+trusts these digests; `gym-open dataset verify` computes them again.
 """
 
 from collections.abc import Iterator
@@ -23,44 +23,44 @@ from gym_open.terminal import markup, titled_table
 
 How = Literal["added", "removed", "changed", "serialisation"]
 _NAMING = {"name", "version", "published", "license", "batches"}
-"""Keys of our part of `meta/info.json` in which any two versions may differ, or that are told apart."""
+"""Keys of our part of `meta/info.json` that are ignored or compared separately."""
 _COUNTS = {"features", "splits", "total_episodes", "total_frames"}
 """Keys of LeRobot's part that follow from features and episodes."""
 
 
 class FileChange(msgspec.Struct, frozen=True):
-    """A file that is not the same in both releases."""
+    """A file that differs between the releases."""
 
     path: str
     how: How
-    """`serialisation`: other bytes of the same content."""
+    """`serialisation`: the same content in other bytes."""
 
 
 class Diff(msgspec.Struct, frozen=True):
-    """What changed from one release to another."""
+    """The changes from one release to another."""
 
     old: str
     """Name and version."""
     new: str
     bump: Bump
     next_version: str
-    """What the new one must be called if it is to follow the old one."""
+    """Version that the new release must have as the successor of the old one."""
     files: list[FileChange]
     meanings: list[Meaning]
-    """The weightiest first. The sentences come from files: not for a terminal as they are."""
+    """Largest bump first. The texts come from files: escape them before a terminal shows them."""
 
 
 def diff_releases(a: Release, b: Release) -> Diff:
-    """What changed from `a` to `b`, which may still be without its manifest.
+    """Compare `a` with its successor `b`, which may still lack its manifest.
 
     Raises:
-        ArtefactError: if one of them is not readable as a release (naming the file).
+        ArtefactError: if one of them is not a readable release (naming the file).
     """
     files = list(_file_changes(a, b))
     common = sorted(name for name, form in _forms(a).items() if _forms(b).get(name) == form)
     data = [*_feature_meanings(a, b), *episode_meanings(a, b, common), *_table_meanings(a, b)]
     if not data and payload.digests(a.root).release != payload.digests(b.root).release:
-        data = [Meaning("major", "the content digest is another, and no feature, episode or table says why")]
+        data = [Meaning("major", "the content digest changed, but no feature, episode or table did")]
     rest = [*_setting_meanings(a, b, files), *_file_meanings(a, b, files, alone=not data)]
     meanings = sorted([*data, *rest], key=lambda item: -RANK[item.bump])
     bump = meanings[0].bump if meanings else "none"
@@ -70,30 +70,30 @@ def diff_releases(a: Release, b: Release) -> Diff:
 
 
 def check_version(previous: Release, new: Release) -> Diff:
-    """Hold the version of `new` against what changed since `previous`, and return what that is.
+    """Check that the version of `new` follows from what changed since `previous`, and return the changes.
 
-    `new` may still be without its manifest, as it is just before it is sealed.
+    `new` may still lack its manifest, as a release does before it is sealed.
 
     Raises:
-        RefusedError: if nothing changed, or another version is the honest one (which is named), or the two are not of
-            one name.
+        RefusedError: if nothing changed, if another version follows (naming it), or if the names of the two differ.
     """
     if previous.name != new.name:
         raise RefusedError(
-            f"{previous.root}: holds {previous.name!r} and not {new.name!r}, so it is no earlier version of it; give "
-            "another --out, or the right --previous"
+            f"{previous.root}: holds {previous.name!r}, so it is no earlier version of {new.name!r}; give another "
+            "--out, or the right --previous"
         )
     diff = diff_releases(previous, new)
     if diff.bump == "none":
         raise RefusedError(
             f"{new.name} {new.version}: nothing but version and date differs from {previous.version} "
-            f"({previous.root}); a version that brings nothing is refused: keep {previous.version}"
+            f"({previous.root}); a version without a change is refused: keep {previous.version}"
         )
     honest = implied(previous.version, diff.bump)
     if new.version != honest:
         raise RefusedError(
-            f"{new.name}: version {new.version} does not say what changed since {previous.version} ({previous.root}); "
-            f"a {diff.bump} change ({diff.meanings[0].text}) makes it {honest}: give --version {honest}"
+            f"{new.name}: version {new.version} does not follow from what changed since {previous.version} "
+            f"({previous.root}); a {diff.bump} change ({diff.meanings[0].text}) makes it {honest}: give "
+            f"--version {honest}"
         )
     return diff
 
@@ -112,7 +112,7 @@ def _file_changes(a: Release, b: Release) -> Iterator[FileChange]:
 
 
 def _forms(release: Release) -> dict[str, Any]:
-    """What must be the same of a feature for its numbers to mean the same."""
+    """The properties of each feature that give its numbers their meaning."""
     return {
         name: (item.get("dtype"), item.get("shape"), item.get("names"))
         for name, item in release.info["features"].items()
@@ -133,10 +133,10 @@ def _feature_meanings(a: Release, b: Release) -> Iterator[Meaning]:
 
 
 def _table_meanings(a: Release, b: Release) -> Iterator[Meaning]:
-    """Of our own tables: rows added after the old ones, or anything else."""
+    """Changes of our own tables: rows added after the old ones, or any other change."""
     for name in TABLES:
         if name == "content" or _table_digests(a, name) == _table_digests(b, name):
-            continue  # the episodes' content is told feature by feature
+            continue  # changes of the episodes' content are reported by feature
         old, new = a.arrow_table(name), b.arrow_table(name)
         if table_digest(new.slice(0, len(old))) == table_digest(old):
             if len(new) > len(old):
@@ -151,7 +151,7 @@ def _table_digests(release: Release, name: str) -> list[str]:
 
 
 def _setting_meanings(a: Release, b: Release, files: list[FileChange]) -> Iterator[Meaning]:
-    """Of what `meta/` says about the release as a whole."""
+    """Changes in the description of the whole release in `meta/`."""
     old, new = dict(a.info), dict(b.info)
     ours_old, ours_new = old.pop("gym_open"), new.pop("gym_open")
     if ours_old.get("license") != ours_new.get("license"):
@@ -170,7 +170,7 @@ def _differing(old: dict[str, Any], new: dict[str, Any], ignored: set[str]) -> l
 
 
 def _file_meanings(a: Release, b: Release, files: list[FileChange], *, alone: bool) -> Iterator[Meaning]:
-    """Of the files; where data changed (not `alone`), that they are cut otherwise says nothing."""
+    """Changes of files. If data changed (not `alone`), other boundaries of data files are no change of their own."""
     rewritten = [item.path for item in files if item.how == "serialisation"]
     if rewritten:
         yield Meaning("patch", f"serialisation only: {len(rewritten):,} file(s) with the same content in other bytes")
@@ -181,19 +181,19 @@ def _file_meanings(a: Release, b: Release, files: list[FileChange], *, alone: bo
         )
     unsealed = not (b.root / artefacts.MANIFEST).exists()
     changed = any(item.path.endswith((".parquet", ".mp4")) for item in files)
-    papers = [
+    documents = [
         item.path
         for item in files
         if not item.path.startswith(("data/", "videos/", "meta/"))
         and not (item.how == "changed" and same_but_for_version(a, b, item.path, data_changed=changed))
-        and not (item.path == CHANGELOG and item.how == "removed" and unsealed)  # it is written from this
+        and not (item.path == CHANGELOG and item.how == "removed" and unsealed)  # it is written later
     ]
-    if papers:
-        yield Meaning("patch", f"card: {', '.join(papers)}")
+    if documents:
+        yield Meaning("patch", f"card: {', '.join(documents)}")
 
 
 def diff_tables(diff: Diff) -> list[Shown]:
-    """For a person: what it means, and which files differ."""
+    """Tables for a person: what changed, and which files differ."""
     verdict = "nothing but version and date" if diff.bump == "none" else f"{diff.bump}, so {diff.next_version} follows"
     meanings = titled_table(f"{diff.old} → {diff.new}: {verdict}", ["asks for", "what changed"])
     for item in diff.meanings:

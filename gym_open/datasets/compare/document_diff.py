@@ -1,4 +1,4 @@
-"""Whether a paper says the same in two releases, but for what any two versions differ in."""
+"""Compare a document of two releases, apart from what any two versions differ in."""
 
 import re
 from typing import Any
@@ -11,23 +11,23 @@ from gym_open.formats.releases.layout import CHANGELOG, CROISSANT
 from gym_open.terminal import printable
 
 _LARGEST = 2**24
-"""Bytes up to which a paper is read to compare it."""
+"""A larger document is not read: it counts as changed."""
 _YEAR = re.compile(r", year=\{\d{4}\}")
 _FOLLOWS = re.compile(
     r'\n# the version before;.*\nprevious=.*\nif .*\n    echo .*\n    exit 1\nfi\n| --previous "\$previous"'
     r"|# the version before is looked for.*\nbeside=.*\nmkdir .*\n\[ -e .*\n"
 )
-"""What `rebuild.sh` has for the version before: every version another."""
+"""The part of `rebuild.sh` about the previous version, which differs in every version."""
 
 
 def same_but_for_version(a: Release, b: Release, path: str, *, data_changed: bool) -> bool:
-    """Whether `path`, which both releases have, differs in version and date alone, and in what follows from them.
+    """Whether a document differs only in version and date, and in what follows from them.
 
     Args:
         a: one release.
         b: the other.
-        path: of a paper: neither data nor `meta/`.
-        data_changed: other files of data or tables are told already, so that their sizes and digests say no more.
+        path: path of a document that both releases have, neither data nor `meta/`.
+        data_changed: data or tables changed, so that their sizes and digests in a document also differ.
 
     Raises:
         ArtefactError: if the file is not readable.
@@ -48,7 +48,7 @@ def same_but_for_version(a: Release, b: Release, path: str, *, data_changed: boo
 
 def _text(release: Release, path: str) -> str:
     try:
-        return (release.root / path).read_bytes().decode("utf-8", "surrogateescape")  # figures, too
+        return (release.root / path).read_bytes().decode("utf-8", "surrogateescape")  # figures are documents too
     except OSError as error:
         raise ArtefactError(f"{release.root / path}: not readable: {error}; build the release again") from None
 
@@ -60,7 +60,7 @@ def _blank(text: str, said: set[str]) -> str:
 
 
 def _described(text: str, data_changed: bool) -> Any:
-    """Croissant's document without date, and if data changed, without its files; the text, if it is no JSON."""
+    """Croissant's document without its date, and without its files if data changed; the text if it is no JSON."""
     try:
         found = msgspec.json.decode(_YEAR.sub("", text).encode("utf-8", "surrogateescape"), type=dict[str, Any])
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):

@@ -1,4 +1,4 @@
-"""What changed in the episodes of a release, told from the digests of their features."""
+"""Find what changed in the episodes of a release, from the digests of their features."""
 
 import itertools
 from collections.abc import Iterator, Sequence
@@ -13,18 +13,18 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _FACTS = [name for name in EPISODE_FACTS if name != "split"]
-"""To move to another split is one thing, to change another."""
+"""Facts whose change is a change of the episode. A move to another split is reported separately."""
 _PLACE = [name for name in EPISODE_PLACES if name != "first_step"]
-"""By which two episodes that differ are taken for the same one, changed."""
+"""Two episodes with the same values here are the same episode, even if its content changed."""
 _SHOWN = 8
-"""Numbers that a sentence lists."""
+"""Largest number of episode numbers in a sentence."""
 
 
 def episode_meanings(old: Release, new: Release, features: Sequence[str]) -> Iterator[Meaning]:
-    """What happened to the episodes, looking only at `features`, which both releases have in the same form.
+    """Find the changes of the episodes, by `features` that both releases have in the same form.
 
     Raises:
-        ArtefactError: if a release's tables of episodes and of content do not fit together.
+        ArtefactError: if a release's tables `episodes` and `content` do not fit together.
     """
     a, b = _episodes(old, features), _episodes(new, features)
     identity = [*features, *_FACTS]
@@ -38,7 +38,7 @@ def episode_meanings(old: Release, new: Release, features: Sequence[str]) -> Ite
 
 
 def _episodes(release: Release, features: Sequence[str]) -> "pd.DataFrame":
-    """A row an episode, in order: facts, place, digests of the features."""
+    """One row per episode, in order: facts, place, digests of the features."""
     import pandas as pd
 
     content, episodes = release.table("content"), release.episodes
@@ -57,7 +57,7 @@ def _keys(table: "pd.DataFrame", columns: Sequence[str]) -> list[tuple[Any, ...]
 
 
 def _pairs(a: list[tuple[Any, ...]], b: list[tuple[Any, ...]]) -> list[tuple[int, int]]:
-    """Numbers (old, new) of episodes of equal key; of several alike, in order."""
+    """Numbers (old, new) of episodes with equal keys. Several equal episodes are paired in order."""
     places: dict[tuple[Any, ...], list[int]] = {}
     for number, key in enumerate(b):
         places.setdefault(key, []).append(number)
@@ -67,7 +67,7 @@ def _pairs(a: list[tuple[Any, ...]], b: list[tuple[Any, ...]]) -> list[tuple[int
 
 
 def _moved(a: "pd.DataFrame", b: "pd.DataFrame", pairs: list[tuple[int, int]]) -> Iterator[Meaning]:
-    """Of episodes that are the same: another order, another split, another place in the play."""
+    """Changes of unchanged episodes: another order, split or place in the exploration."""
     for name in ("split", *EPISODE_PLACES):
         elsewhere = [i for i, j in pairs if a[name].iloc[i] != b[name].iloc[j]]
         if elsewhere:
@@ -79,7 +79,7 @@ def _moved(a: "pd.DataFrame", b: "pd.DataFrame", pairs: list[tuple[int, int]]) -
 def _unmatched(
     a: "pd.DataFrame", b: "pd.DataFrame", pairs: list[tuple[int, int]], identity: list[str]
 ) -> Iterator[Meaning]:
-    """Of episodes that are not the same: changed where they have their place in common, else removed and added."""
+    """Other episodes: changed if both have the same place, else removed or added."""
     gone = sorted(set(range(len(a))) - {i for i, _ in pairs})
     come = sorted(set(range(len(b))) - {j for _, j in pairs})
     left, right = a.iloc[gone], b.iloc[come]
@@ -107,7 +107,7 @@ def _count(number: int) -> str:
 
 
 def _numbers(numbers: Sequence[int]) -> str:
-    """Numbers of episodes as a person writes them: `3, 5–9`."""
+    """Write the numbers of episodes as ranges: `3, 5–9`."""
     runs: list[list[int]] = []
     for number in numbers:
         if runs and number == runs[-1][1] + 1:

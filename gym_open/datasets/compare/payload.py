@@ -1,4 +1,4 @@
-"""The files of a release by their bytes and by their content, sealed or just before it is."""
+"""Digests of the files of a release, by bytes and by content. The release may still be unsealed."""
 
 import functools
 from collections.abc import Iterable, Mapping
@@ -18,11 +18,11 @@ class Digests(msgspec.Struct, frozen=True):
 
     release: str
     files: dict[str, str]
-    """Of every parquet file and video, by path."""
+    """Digest of every parquet file and video, by path."""
 
 
 def digests(root: Path) -> Digests:
-    """Content digests that the release at `root` carries.
+    """Read the content digests in the release at `root`.
 
     Raises:
         ArtefactError: if they are missing or not readable.
@@ -31,10 +31,10 @@ def digests(root: Path) -> Digests:
 
 
 def entries(root: Path) -> dict[str, Entry]:
-    """SHA-256 and size of every payload file, from the manifest, or of one that has none yet, from the files.
+    """SHA-256 and size of every payload file, from the manifest, or from the files if there is no manifest yet.
 
     Raises:
-        ArtefactError: if the manifest is not readable as one.
+        ArtefactError: if the manifest is not readable.
     """
     if (root / artefacts.MANIFEST).exists():
         found = artefacts.manifest(root)
@@ -43,7 +43,7 @@ def entries(root: Path) -> dict[str, Entry]:
 
 
 def total_bytes(found: Mapping[str, Entry]) -> int:
-    """Bytes of all files."""
+    """Sum of the sizes of all files in bytes."""
     return sum(entry.bytes for entry in found.values())
 
 
@@ -60,5 +60,5 @@ def _entry(path: Path) -> Entry:
 
 
 @functools.lru_cache(maxsize=100_000)
-def _hashed(path: Path, size: int, mtime_ns: int) -> Entry:  # noqa: ARG001 (a changed file is another one)
+def _hashed(path: Path, size: int, mtime_ns: int) -> Entry:  # noqa: ARG001 (size and time are part of the cache's key)
     return Entry(sha256=sha256_file(path), bytes=size)

@@ -16,7 +16,7 @@ RANK: dict[Bump, int] = {"none": 0, "patch": 1, "minor": 2, "major": 3}
 
 
 class Meaning(msgspec.Struct, frozen=True):
-    """One thing that changed, and the bump that it asks for."""
+    """A change, and the version bump that it requires."""
 
     bump: Bump
     text: str
@@ -26,13 +26,13 @@ _VERSION = re.compile(r"(0|[1-9][0-9]{0,8})\.(0|[1-9][0-9]{0,8})\.(0|[1-9][0-9]{
 
 
 def parse(version: str) -> tuple[int, int, int] | None:
-    """The three numbers of a version; None if it is none."""
+    """Parse the three numbers of a version; None if it is not valid."""
     match = _VERSION.fullmatch(version)
     return (int(match[1]), int(match[2]), int(match[3])) if match else None
 
 
 def implied(previous: str, bump: Bump) -> str:
-    """The version that follows `previous` after a change of this kind; `previous` itself if nothing changed.
+    """The version that follows `previous` after a change of this kind, or `previous` if nothing changed.
 
     Raises:
         ArtefactError: if `previous` is not a version.

@@ -1,6 +1,6 @@
 """The documents of a release: card, licence, changelog, Croissant metadata, figures, `rebuild/` and provenance.
 
-All are written from the data, without dates (but a day of publication that was given), paths, hosts or users.
+All are written from the data. They hold no dates (except a given day of publication), paths, hosts or users.
 """
 
 from collections.abc import Sequence
@@ -34,11 +34,11 @@ def write_documents(
     `provenance.json` lists all of them.
 
     Args:
-        release: not sealed yet.
-        config: all that decided it.
-        command: what makes it.
-        previous: the release that this one follows, or takes over.
-        parents: artefacts that it is made of: logs, releases, and `previous` last, if there is one.
+        release: the release, not sealed yet.
+        config: everything that determines it.
+        command: the command that makes it.
+        previous: the previous version, if there is one.
+        parents: artefacts from which it is made: logs, releases, and `previous` last, if there is one.
 
     Raises:
         ArtefactError: if `previous` is not readable.

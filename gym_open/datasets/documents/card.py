@@ -1,4 +1,4 @@
-"""README.md: the card of a release, in the hub's form, written from the data alone, without dates or paths."""
+"""README.md: the card of a release in the form of the hub. It is written from the data, without dates or paths."""
 
 import functools
 from typing import TYPE_CHECKING
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from jinja2 import Template
 
 _SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**7, "1M<n<10M"))
-"""The hub's categories, by frames."""
+"""The hub's size categories, by number of frames."""
 _LARGEST = "10M<n<100M"
 MEANINGS = {
     "observation.image": "what the camera sees, RGB",
@@ -39,11 +39,11 @@ MEANINGS = {
     "index": "within the release",
     "task_index": "always 0: there is no task",
 }
-"""What features are."""
+"""Descriptions of the features, for the card."""
 
 
 def description(facts: ReleaseFacts) -> str:
-    """A sentence or two on what the release is."""
+    """Describe the release in one sentence."""
     release = facts.release
     return (
         f"What exploration policies saw and did in gym-open's sandbox, a table with spheres and cubes that an agent "
@@ -84,5 +84,5 @@ def _meaning(feature: str) -> str:
 
 
 def _code(name: str) -> str:
-    """A feature's name between back-ticks, where nothing is escaped."""
+    """The name of a feature for use between back-ticks, where escapes do not work."""
     return "".join(c if c.isalnum() or c in "._-+ " else "?" for c in name)

@@ -1,4 +1,4 @@
-"""CHANGELOG.md: what changed in this version, and below it what the previous release's own says."""
+"""CHANGELOG.md: what changed in this version, followed by the changelog of the previous version."""
 
 from gym_open.datasets.compare import payload
 from gym_open.datasets.compare.diff import Diff
@@ -10,7 +10,7 @@ from gym_open.markdown import cell
 from gym_open.terminal import printable
 
 _LONGEST = 2**20
-"""Bytes of a changelog that is taken over."""
+"""Largest size in bytes of a previous changelog."""
 
 
 def write_changelog(release: Release, header: Header, previous: Release | None, diff: Diff | None) -> None:
@@ -44,9 +44,9 @@ def _earlier(previous: Release) -> str:
     path = previous.root / CHANGELOG
     try:
         if path.stat().st_size > _LONGEST:
-            raise ArtefactError(f"{path}: larger than {_LONGEST:,} bytes; get that release anew")
+            raise ArtefactError(f"{path}: larger than {_LONGEST:,} bytes; get that release again")
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise ArtefactError(f"{path}: not readable: {error}; get that release anew") from None
+        raise ArtefactError(f"{path}: not readable: {error}; get that release again") from None
     start = text.find("## ")
     return printable(text[start:]) if start >= 0 else ""

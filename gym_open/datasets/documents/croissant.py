@@ -1,4 +1,4 @@
-"""croissant.json: what the release is and how its records are read, in the words of MLCommons' Croissant 1.1.
+"""croissant.json: description of the release and of its records, in the format MLCommons Croissant 1.1.
 
 <https://docs.mlcommons.org/croissant/docs/croissant-spec-1.1.html>
 """
@@ -20,7 +20,7 @@ _TYPES = {
     "int64": "cr:Int64", "float32": "cr:Float32", "double": "cr:Float64", "bool": "sc:Boolean", "string": "sc:Text",
 }  # fmt: skip
 _SETS = {"frames": "data/*/*.parquet", "episodes": "meta/episodes/*/*.parquet", "worlds": "meta/worlds/*.parquet"}
-"""Record sets, and the files of each."""
+"""Patterns of the files of each record set."""
 _JSON_TERMS = ("data", "examples")
 _TERMS = (
     "arrayShape", "citeAs", "column", "containedIn", "equivalentProperty", "extract", "field", "fileObject",
@@ -31,7 +31,7 @@ _TERMS = (
 
 
 def _context() -> dict[str, Any]:
-    """The vocabulary, as the specification gives it."""
+    """The JSON-LD context of the specification."""
     return {
         "@language": "en",
         "@vocab": "https://schema.org/",
@@ -47,7 +47,7 @@ def _context() -> dict[str, Any]:
 
 
 def croissant(header: Header, release: Release, description: str) -> dict[str, Any]:
-    """The document, as plain data; only a release without a day of publication lacks something that is recommended."""
+    """The document as plain data. It has all recommended fields, except the date if the release has none."""
     return {
         "@context": _context(),
         "@type": "sc:Dataset",
@@ -107,7 +107,7 @@ def _record_set(name: str, key: Iterable[str], fields: list[dict[str, Any]], des
 
 
 def _field(records: str, column: str, kind: str, length: int = 1, *, transform: str = "") -> dict[str, Any]:
-    """A column; of a vector, its `length`; `transform` is the part of a structure that is meant."""
+    """A field for a column. `length` is that of a vector; `transform` selects a part of a structure."""
     source = {"fileSet": {"@id": f"{records}-files"}, "extract": {"column": column}}
     if transform:
         source["transform"] = {"jsonPath": transform}
@@ -122,7 +122,7 @@ def _frames(release: Release) -> dict[str, Any]:
     for name, feature in release.info["features"].items():
         if feature["dtype"] == "image":
             fields.append(_field("frames", name, "sc:ImageObject", transform="bytes"))
-        elif feature["dtype"] != "video":  # whose pictures are in files beside
+        elif feature["dtype"] != "video":  # the images of a video are in separate files
             fields.append(_field("frames", name, _TYPES[feature["dtype"]], feature["shape"][0]))
     return _record_set("frames", ["index"], fields, "One record a frame; the last of an episode holds no action.")
 

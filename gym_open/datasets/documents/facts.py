@@ -1,6 +1,6 @@
-"""What a release holds, counted from its data: what its card, figures and changelog are written from.
+"""Facts about a release, counted from its data, from which the card, the figures and `rebuild/` are written.
 
-Numbers are read a data file at a time, a few columns of it; pictures are not read here.
+Numbers are read from one data file at a time, only the necessary columns. Images are not read.
 """
 
 from collections import Counter
@@ -22,20 +22,20 @@ if TYPE_CHECKING:
     import pandas as pd
 
 CELL_M = 0.05
-"""Edge of the squares in which the agent's places are counted."""
+"""Edge length of the squares in which the positions of the agent are counted."""
 X_EDGES = np.arange(-np.ceil(WALL_X / CELL_M), np.ceil(WALL_X / CELL_M) + 1) * CELL_M
 Y_EDGES = np.arange(-np.ceil(WALL_Y / CELL_M), np.ceil(WALL_Y / CELL_M) + 1) * CELL_M
 """Edges of the squares in metres, from wall to wall."""
 LEARNING = ("reward.intrinsic", "world_model.loss", "policy.entropy", "policy.value")
-"""Features that are the explorer's own; parts of the reward come with them."""
+"""Features with the explorer's own values; the parts of the reward are added to them."""
 
 
 @dataclass(frozen=True)
 class ValueRange:
-    """Where the finite values of a feature lie."""
+    """Range of the finite values of a feature."""
 
     finite: float
-    """Share of the actions at which there was one."""
+    """Share of actions with a finite value."""
     low: float
     median: float
     mean: float
@@ -44,7 +44,7 @@ class ValueRange:
 
 @dataclass
 class ExplorerFacts:
-    """What one explorer did."""
+    """Facts about the exploration of one explorer."""
 
     explorer: str
     episodes: int
@@ -57,27 +57,27 @@ class ExplorerFacts:
     """Steps of each episode."""
     ended: Counter[str]
     actions: np.ndarray = field(default_factory=lambda: np.zeros(N_ACTIONS, dtype=np.int64))
-    """How often each was taken."""
+    """How often each action was taken."""
     touching: int = 0
-    """Steps in which the agent touched something."""
+    """Number of steps in which the agent touched something."""
     visits: np.ndarray = field(default_factory=lambda: np.zeros((len(Y_EDGES) - 1, len(X_EDGES) - 1), dtype=np.int64))
-    """Frames in each square (from −y to +y, from −x to +x)."""
+    """Number of frames in each square (from −y to +y, from −x to +x)."""
     ranges: dict[str, ValueRange] = field(default_factory=dict)
-    """Of what the explorer thought of its steps, by feature."""
+    """Ranges of the explorer's values for its steps, by feature."""
 
     def share(self, steps: int) -> float:
-        """These steps as a share of all its steps."""
+        """A number of steps as a share of all its steps."""
         return steps / max(self.steps, 1)
 
 
 @dataclass(frozen=True)
 class LogFacts:
-    """One log that went in: which configuration made which streams."""
+    """Facts about one log in the release."""
 
     number: int
-    """Place among the logs as they were given to the build that took it in."""
+    """Number of the log in its build, in the order in which the logs were given."""
     batch: int
-    """Number of that build: 0 for the first, 1 for the first append."""
+    """Number of its build: 0 for the first one, 1 for the first append."""
     explorer: str
     config: Mapping[str, Any]
     streams: int
@@ -85,50 +85,50 @@ class LogFacts:
 
     @property
     def curriculum(self) -> object:
-        """Name of the rule that decided when a stream left its world."""
+        """Name of the curriculum rule, which decides when a stream leaves its world."""
         section = self.config.get("curriculum")
         return section.get("rule", "–") if isinstance(section, Mapping) else "–"
 
 
 @dataclass(frozen=True)
 class SplitFacts:
-    """What is in a split, and where its files are."""
+    """Facts about a split."""
 
     episodes: int
     frames: int
     steps: int
     worlds: int
     chunks: tuple[int, ...]
-    """Folders of data files."""
+    """Numbers of the folders of its data files."""
 
 
 @dataclass(frozen=True)
 class ReleaseFacts:
-    """All of it."""
+    """All facts about a release."""
 
     release: Release
     explorers: list[ExplorerFacts]
-    """By explorer, in order of their names."""
+    """In the order of their names."""
     logs: list[LogFacts]
     splits: dict[str, SplitFacts]
     data_bytes: int
 
     @property
     def steps(self) -> int:
-        """Actions in all."""
+        """Number of all actions."""
         return sum(one.steps for one in self.explorers)
 
     @property
     def ended(self) -> Counter[str]:
-        """Why episodes ended."""
+        """How often episodes ended for each reason."""
         return sum((one.ended for one in self.explorers), Counter[str]())
 
 
 def gather(release: Release) -> ReleaseFacts:
-    """Count what is in a release, sealed or just before it is.
+    """Count the contents of a release, which may still be unsealed.
 
     Raises:
-        ArtefactError: if a configuration in it is not JSON, or a file is damaged.
+        ArtefactError: if a configuration in the release is not JSON, or a file is damaged.
     """
     episodes = release.episodes
     names = sorted(episodes["explorer"].unique())
@@ -164,7 +164,7 @@ def _split(rows: "pd.DataFrame") -> SplitFacts:
 
 
 def _read_frames(release: Release, played: list[ExplorerFacts], owner: np.ndarray) -> None:
-    """Fill in what frames say; `owner` is the number in `played` of each episode's explorer."""
+    """Count the frames of each explorer. `owner` holds, for each episode, the number of its explorer in `played`."""
     thought = [*LEARNING, *sorted(name for name in release.info["features"] if name.startswith(PART))]
     columns = ["episode_index", "action.index", "contact.agent", "transition.valid", "observation.state", *thought]
     schema = features.schema(release.info["features"])

@@ -1,4 +1,4 @@
-"""Figures of a release: `figures/*.png`. Equal data give equal bytes: no date, and none of the user's own style.
+"""Figures of a release: `figures/*.png`. Equal data give equal bytes: no dates, and no personal style settings.
 
 Colours are those that colour-blind readers tell apart (Okabe and Ito; cividis), and a hatch or a number says the same.
 """
@@ -24,15 +24,15 @@ _ENDS = (
 )  # fmt: skip
 """Colour and hatch of a reason why episodes end; after the last they come again."""
 _ARROWS = ("stay", "→", "↗", "↑", "↖", "←", "↙", "↓", "↘")
-"""Actions as the camera sees them: north is away from it."""
+"""Actions as the camera sees them: north points away from it."""
 _SHOWN = 16
-"""Explorers that a figure has room for."""
+"""Largest number of explorers in a figure."""
 _COLUMNS, _ZOOM, _GAP, _LABEL, _HEAD = 6, 2, 4, 110, 24
-"""Contact sheet: pictures a row, size of a pixel, and margins in pixels."""
+"""Contact sheet: images per row, magnification, and margins in pixels."""
 
 
 def draw(facts: ReleaseFacts) -> dict[str, bytes]:
-    """PNG files by name."""
+    """Draw all figures; return PNG files by name."""
     drawn: dict[str, Callable[[ReleaseFacts], Figure]] = {
         "frames": _contact_sheet, "coverage": _coverage, "actions": _actions, "episodes": _episodes,
     }  # fmt: skip
@@ -45,7 +45,7 @@ def _name(explorer: str) -> str:
 
 
 def _contact_sheet(facts: ReleaseFacts) -> "Figure":
-    """A row an explorer: frames from its worlds, spread over what it did there."""
+    """Contact sheet with one row per explorer: frames from its worlds, spread over its time there."""
     from matplotlib.figure import Figure
 
     shown = facts.explorers[:_SHOWN]
@@ -68,7 +68,7 @@ def _contact_sheet(facts: ReleaseFacts) -> "Figure":
 
 
 def _pick(rows: "pd.DataFrame") -> tuple[np.ndarray, list[str]]:
-    """Frame numbers and layouts for one row: all worlds alike often, each at moments spread over the time in it."""
+    """Frame numbers and layouts for one row: all worlds equally often, at moments spread over the time in each."""
     worlds = list(dict.fromkeys(rows["puzzle"]))
     if len(worlds) > _COLUMNS:
         worlds = [worlds[i] for i in np.linspace(0, len(worlds) - 1, _COLUMNS).round().astype(int)]
@@ -84,7 +84,7 @@ def _pick(rows: "pd.DataFrame") -> tuple[np.ndarray, list[str]]:
 
 
 def _coverage(facts: ReleaseFacts) -> "Figure":
-    """Where the agent was, an explorer a panel, on one scale."""
+    """Where the agent was: one panel per explorer, all on one scale."""
     from matplotlib.colors import LogNorm
     from matplotlib.figure import Figure
 
@@ -112,13 +112,13 @@ def _coverage(facts: ReleaseFacts) -> "Figure":
 
 
 def _rows(axes: "Axes", shown: Sequence[ExplorerFacts]) -> None:
-    """One row an explorer, from the top."""
+    """Label one row per explorer, from the top."""
     axes.set_yticks(range(len(shown)), [_name(one.explorer) for one in shown])
     axes.set_ylim(len(shown) - 0.5, -0.5)
 
 
 def _actions(facts: ReleaseFacts) -> "Figure":
-    """How often each action was taken, and how often something was touched."""
+    """How often each action was taken, and how often the agent touched something."""
     from matplotlib.figure import Figure
 
     shown = facts.explorers[:_SHOWN]

@@ -1,4 +1,4 @@
-"""Texts of the licences that a release can have."""
+"""Texts of the licences for releases."""
 
 from gym_open.datasets.config import Header
 
@@ -7,7 +7,7 @@ URLS = {
     "cc-by-4.0": "https://creativecommons.org/licenses/by/4.0/",
     "cc0-1.0": "https://creativecommons.org/publicdomain/zero/1.0/",
 }
-"""Where each is explained; machines know them by these addresses."""
+"""Address of each licence, by which machines recognise it."""
 _MIT = """\
 MIT License
 
@@ -52,5 +52,5 @@ _TEXTS = {"mit": _MIT, "cc-by-4.0": _CC_BY, "cc0-1.0": _CC0}
 
 
 def licence_text(header: Header) -> str:
-    """The file LICENSE: in full for MIT, else a notice with the address of the licence. It is the same in any year."""
+    """Text of LICENSE: the full text for MIT, else a notice with the address. It does not depend on the year."""
     return _TEXTS[header.license].format(who=f"the authors of {header.name}")

@@ -1,7 +1,7 @@
 """provenance.json: how the release was made, as an in-toto statement with a SLSA provenance predicate.
 
-<https://in-toto.io/Statement/v1>, <https://slsa.dev/spec/v1.0/provenance>. A record, like lineage.json: it names code
-and packages, so it is no part of the payload.
+<https://in-toto.io/Statement/v1>, <https://slsa.dev/spec/v1.0/provenance>. It is a record, like
+lineage.json: it names code and packages, so it does not belong to the payload.
 """
 
 import importlib.metadata
@@ -21,23 +21,23 @@ STATEMENT, PREDICATE = "https://in-toto.io/Statement/v1", "https://slsa.dev/prov
 _BUILD_TYPE = "urn:gym-open:dataset:{command}:2"
 _BUILDER = "urn:gym-open"
 _DRAWN = ("av", "matplotlib", "pillow")
-"""Packages that decide bytes of pictures and figures, beside those that every artefact names."""
+"""Packages that determine the bytes of images and figures, in addition to those that every artefact names."""
 
 
 def write_provenance(folder: Path, config: Header, parents: Sequence[Path], command: str) -> None:
     """Write `provenance.json` over the payload in `folder`.
 
     Args:
-        folder: of the release, not sealed yet.
-        config: all that decided it.
-        parents: the artefacts that it was made of.
+        folder: folder of the release, not sealed yet.
+        config: everything that determines it.
+        parents: the artefacts from which it was made.
         command: `build`, `append`, `merge` or `filter`.
     """
     write_atomically(folder / PROVENANCE, artefacts.canonical_json(statement(folder, config, parents, command)))
 
 
 def statement(folder: Path, config: Header, parents: Sequence[Path], command: str) -> dict[str, Any]:
-    """The statement as plain data; nothing in it depends on where or when."""
+    """The statement as plain data. It does not depend on place or time."""
     subject = [{"name": path, "digest": {"sha256": entry.sha256}} for path, entry in payload.entries(folder).items()]
     settings = to_dict(config)
     seeds = {"release": str(settings["seed"])} if "seed" in settings else {}
@@ -69,7 +69,7 @@ def _dependency(number: int, parent: Path) -> dict[str, Any]:
 
 
 def _stream_seeds(folder: Path) -> Iterator[str]:
-    """Root seeds that the streams were played with: text, since JSON's numbers are not exact."""
+    """Root seeds of the streams, as text because numbers in JSON are not exact."""
     import pandas as pd
 
     for path in sorted(folder.glob("meta/streams/file-*.parquet")):

@@ -1,6 +1,6 @@
-"""`rebuild/`: the commands, with their whole configurations, that make the release again from seeds, and compare.
+"""`rebuild/`: commands and configurations that make the release again from seeds and compare the result.
 
-A release that was made of releases names them by payload digest; each of them carries its own `rebuild/`.
+A release that was made from releases names them by payload digest. Each of them has its own `rebuild/`.
 """
 
 import shlex
@@ -16,7 +16,7 @@ from gym_open.formats.releases.info import read_info
 from gym_open.formats.releases.layout import RECORDS, SIGNATURE
 
 _COLLECTED = {"steps", "streams", "seed", "explorer", "curriculum", "sandbox", "log"}
-"""Keys of the configuration of a log that `gym-open collect` made."""
+"""Keys in the configuration of a log from `gym-open collect`."""
 _HEAD = """\
 #!/bin/sh
 # Makes {name} {version} again and compares it with the release that this script is in.
@@ -82,13 +82,13 @@ def rebuild_files(
     """Files of `rebuild/` by name.
 
     Args:
-        config: of the release.
+        config: configuration of the release.
         command: `build`, `append`, `merge` or `filter`.
-        logs: what was given as logs, in order; for `merge` and `filter` none.
-        releases: what a merge or a filter was made of.
-        previous: the release that this one follows, or takes over.
+        logs: the given logs, in order; empty for `merge` and `filter`.
+        releases: the releases from which a merge or filter is made.
+        previous: the previous version, if there is one.
     """
-    settings = {key: value for key, value in to_dict(config).items() if key != "append"}  # which is an option
+    settings = {key: value for key, value in to_dict(config).items() if key != "append"}  # an option of the command
     files = {f"{command}.toml": to_toml(settings).encode()}
     files.update({f"log-{log.number:03d}.toml": to_toml(log.config).encode() for log in logs if _was_collected(log)})
     head = _HEAD.format(name=config.name, version=config.version, records=(*RECORDS, SIGNATURE))
@@ -130,7 +130,7 @@ def _made(config: Header, command: str, logs: Sequence[LogFacts], releases: int,
 
 
 def _options(config: Header) -> Iterator[str]:
-    """Options of the sub-commands that take no file, for all that is not empty."""
+    """Options for the sub-commands without a configuration file, for all values that are not empty."""
     for key, value in to_dict(config).items():
         if value not in ("", [], ()):
             values = value if isinstance(value, list | tuple) else [value]

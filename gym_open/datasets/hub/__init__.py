@@ -1,7 +1,7 @@
-"""Releases to and from a Hugging Face hub: what verifies is sent, a tag a version, and what is fetched must verify.
+"""Push releases to a Hugging Face hub and pull them from one.
 
-Nothing here touches a network unless it is told to `send`. The hub is not trusted: what it says that it holds is
-compared with the manifest, before and after.
+A release must verify before it is sent, and after it is fetched. Each version has a tag. Nothing uses the network
+without `send`. The hub is not trusted: its list of files is compared with the manifest, before and after.
 """
 
 from gym_open.datasets.hub.pull import pull_release

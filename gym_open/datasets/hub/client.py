@@ -1,4 +1,4 @@
-"""What push and pull share: talking to a hub, its tags and files, and what a release says of itself."""
+"""Shared parts of push and pull: the connection to a hub, its tags and files, and the identity of a release."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -17,19 +17,19 @@ if TYPE_CHECKING:
     from huggingface_hub.hf_api import RepoFile
 
 _REPO = re.compile(r"[A-Za-z0-9][\w.-]*/[A-Za-z0-9][\w.-]*", re.ASCII)
-_AGAIN = "run the same command again, it goes on from there"
+_AGAIN = "run the same command again, it continues from there"
 
 
 @contextmanager
 def talking(repo: str, endpoint: str | None) -> "Iterator[HfApi]":
-    """A client of the hub; whatever goes wrong between the two becomes an error that says what to do.
+    """Provide a client of the hub. Every failure becomes an error that says what to do.
 
     Args:
         repo: OWNER/NAME, named in errors.
         endpoint: address of the hub; by default HF_ENDPOINT or huggingface.co.
 
     Raises:
-        GymOpenError: if the hub cannot be reached, refuses, or answers as no hub does.
+        GymOpenError: if the hub cannot be reached, refuses, or sends an invalid answer.
     """
     from huggingface_hub import HfApi
 
@@ -37,12 +37,12 @@ def talking(repo: str, endpoint: str | None) -> "Iterator[HfApi]":
     try:
         yield api
     except (network_error(), OSError, RuntimeError, ValueError, LookupError, TypeError, AttributeError) as error:
-        # the last three are what the client makes of an answer that is not a hub's
+        # the client raises the last three for an invalid answer
         raise GymOpenError(f"{repo} at {api.endpoint}: {_explained(error)}") from error
 
 
 def network_error() -> type[Exception]:
-    """What the client's HTTP library raises. That is requests, httpx or httpx2, by the client's version."""
+    """The exception of the client's HTTP library: requests, httpx or httpx2, depending on the client's version."""
     from huggingface_hub.errors import HfHubHTTPError
 
     library = HfHubHTTPError.__bases__[0].__module__.partition(".")[0]
@@ -54,7 +54,7 @@ def _explained(error: Exception) -> str:
     from huggingface_hub.errors import OfflineModeIsEnabled as OfflineError
 
     if isinstance(error, RuntimeError) and isinstance(error.__cause__, Exception):
-        error = error.__cause__  # of an upload's thread
+        error = error.__cause__  # raised in the thread of an upload
     if isinstance(error, OfflineError):
         return "HF_HUB_OFFLINE is set: unset it for this command"
     if isinstance(error, RepositoryNotFoundError):
@@ -80,7 +80,7 @@ def versions(known: Mapping[str, str]) -> list[tuple[int, int, int]]:
 
 
 def tree(api: "HfApi", repo: str, revision: str) -> "dict[str, RepoFile]":
-    """What a hub says of every file of a revision, by name."""
+    """The hub's record of every file of a revision, by name."""
     from huggingface_hub.hf_api import RepoFile
 
     items = api.list_repo_tree(repo, recursive=True, revision=revision, repo_type="dataset")
@@ -88,10 +88,10 @@ def tree(api: "HfApi", repo: str, revision: str) -> "dict[str, RepoFile]":
 
 
 def check_repo(repo: str, name: str | None = None) -> None:
-    """Check that `repo` is OWNER/NAME, and if given, that NAME is that of the release `name`.
+    """Check that `repo` is OWNER/NAME, and that NAME is that of the release `name`, if given.
 
     Raises:
-        UsageError: if it is not.
+        UsageError: if the check fails.
     """
     if not _REPO.fullmatch(repo):
         raise UsageError(f"a repository must be OWNER/NAME, got {repo!r}")
@@ -100,30 +100,30 @@ def check_repo(repo: str, name: str | None = None) -> None:
 
 
 def verified(root: Path) -> tuple[str, str]:
-    """Name and version of the release at `root`, after every check but the replay.
+    """Verify the release at `root`, without the replay, and return its name and version.
 
     Raises:
-        ArtefactError: naming the first file that is not right.
+        ArtefactError: naming the first faulty file.
     """
     from gym_open.datasets.verify import verify_release
 
     report = verify_release(root, replay=False)
     for problem in report.problems:
-        raise ArtefactError(f"{root / problem.file}: {problem.what} (all that is wrong: gym-open dataset verify)")
-    return told(root / INFO_PATH)
+        raise ArtefactError(f"{root / problem.file}: {problem.what} (list all problems with gym-open dataset verify)")
+    return identity(root / INFO_PATH)
 
 
-def told(info: Path) -> tuple[str, str]:
-    """Name and version that a release's `meta/info.json` gives.
+def identity(info: Path) -> tuple[str, str]:
+    """Read name and version of a release from its `meta/info.json`.
 
     Raises:
-        ArtefactError: if it gives none.
+        ArtefactError: if it holds none.
     """
     try:
         ours = msgspec.json.decode(info.read_bytes(), type=dict[str, Any])["gym_open"]
         name, version = ours["name"], ours["version"]
     except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError, KeyError, TypeError) as error:
-        raise ArtefactError(f"{info}: not of a release of gym-open: {error}") from None
+        raise ArtefactError(f"{info}: not from a release of gym-open: {error}") from None
     if not (isinstance(name, str) and _REPO.fullmatch(name) and isinstance(version, str) and parse(version)):
         raise ArtefactError(f"{info}: expected NAMESPACE/NAME and X.Y.Z as name and version, got {name!r}, {version!r}")
     return name, version

@@ -1,4 +1,4 @@
-"""A version of a release from a hub, verified before it is there."""
+"""Pull a version of a release from a hub. It appears only after it is verified."""
 
 import shutil
 from collections.abc import Iterator, Mapping
@@ -12,7 +12,7 @@ import msgspec
 from gym_open import artefacts, progress
 from gym_open.artefacts import MANIFEST, SIGNATURE, Entry
 from gym_open.datasets.compare.versions import parse
-from gym_open.datasets.hub.client import check_repo, tags, talking, told, tree, verified, versions
+from gym_open.datasets.hub.client import check_repo, identity, tags, talking, tree, verified, versions
 from gym_open.errors import ArtefactError, GymOpenError, UsageError
 from gym_open.files import lock, sha256_file
 from gym_open.formats.releases.layout import INFO_PATH, belongs
@@ -22,30 +22,30 @@ if TYPE_CHECKING:
     from huggingface_hub.hf_api import RepoFile
 
 _MAX_UNLISTED = 2**26
-"""Bytes of a manifest or signature, of which no manifest says how large they are."""
+"""Largest size in bytes of the manifest and the signature, which no manifest lists."""
 
 
 def pull_release(repo: str, version: str, out: Path, *, send: bool, endpoint: str | None = None) -> Path:
-    """Fetch a version of a release from a hub into `out`, which is whole and verified afterwards or not there.
+    """Fetch a version of a release from a hub into `out`. Afterwards `out` is whole and verified, or absent.
 
-    Only files that the manifest lists, and the signature, are fetched. What an interrupted pull left in the hidden
-    folder beside `out` is gone on from.
+    It fetches only the signature and the files in the manifest. An interrupted pull leaves a hidden folder next to
+    `out`, from which the next one continues.
 
     Args:
         repo: OWNER/NAME of the data set.
-        version: X.Y.Z: fetched is what the tag `vX.Y.Z` points to.
-        out: folder to make. If it is there with the same bytes, nothing is done.
-        send: without it nothing touches a network.
+        version: X.Y.Z; the tag `vX.Y.Z` is fetched.
+        out: folder to write. If it exists with the same bytes, nothing is done.
+        send: use the network. Without it nothing is fetched.
         endpoint: address of the hub; by default HF_ENDPOINT or huggingface.co.
 
     Returns:
-        `out`, made or (without `send`) not.
+        `out`, even if (without `send`) nothing was fetched.
 
     Raises:
-        ArtefactError: if there is no such version, what came is not what the manifest says, is no release, or is
-            another one. Nothing of it is kept.
-        UsageError: if the name or version is none, `out` is something else, or another process is pulling it.
-        GymOpenError: if the hub cannot be reached or refuses. What came so far is kept for the next try.
+        ArtefactError: if there is no such version, or if the files do not match the manifest, are no release, or are
+            another release. None of them are kept.
+        UsageError: if the name or version is not valid, `out` is something else, or another process is pulling it.
+        GymOpenError: if the hub cannot be reached or refuses. The files so far are kept for the next attempt.
     """
     check_repo(repo)
     if parse(version) is None:
@@ -64,14 +64,14 @@ def pull_release(repo: str, version: str, out: Path, *, send: bool, endpoint: st
             try:
                 _Pull(api, repo, commit, partial, tree(api, repo, commit)).into(out, version)
             except ArtefactError:
-                shutil.rmtree(partial, ignore_errors=True)  # refused: nothing to go on from
+                shutil.rmtree(partial, ignore_errors=True)  # refused: a later pull must start again
                 raise
     return out
 
 
 @contextmanager
 def _without_bars() -> Iterator[None]:
-    """The client's own bars, one a file, would be drawn over ours."""
+    """Hide the client's own progress bars, one per file, which would overwrite ours."""
     from huggingface_hub.utils.tqdm import are_progress_bars_disabled, disable_progress_bars, enable_progress_bars
 
     if are_progress_bars_disabled():
@@ -86,17 +86,17 @@ def _without_bars() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class _Pull:
-    """Fetches files of one commit."""
+    """Fetches the files of one commit."""
 
     api: "HfApi"
     repo: str
     commit: str
     folder: Path
     there: "Mapping[str, RepoFile]"
-    """What the hub says that it has."""
+    """The hub's record of its files."""
 
     def into(self, out: Path, version: str) -> None:
-        """Fetch all, verify, and rename the folder to `out`."""
+        """Fetch all files, verify them, and rename the folder to `out`."""
         self._unlisted(MANIFEST)
         entries = self._listed()
         if out.exists():
@@ -106,13 +106,13 @@ class _Pull:
             raise GymOpenError(f"{out}: {needed:,} bytes are needed there, {free:,} are free; make room, or give --out")
         with _without_bars(), progress.bar("dataset pull", needed) as bar:
             self._listed_file(INFO_PATH, entries[INFO_PATH])
-            self._check_told(version)  # before all the rest is fetched
+            self._check_identity(version)  # before the other files are fetched
             for name in sorted(entries):
                 self._listed_file(name, entries[name])
                 bar.advance(entries[name].bytes)
         if SIGNATURE in self.there:
             self._unlisted(SIGNATURE)
-        shutil.rmtree(self.folder / ".cache", ignore_errors=True)  # the client's notes for going on
+        shutil.rmtree(self.folder / ".cache", ignore_errors=True)  # the client's notes for continuing
         verified(self.folder)
         self.folder.rename(out)
         return None
@@ -121,35 +121,33 @@ class _Pull:
         (self.folder / name).unlink(missing_ok=True)
         self.api.hf_hub_download(
             self.repo, name, repo_type="dataset", revision=self.commit, local_dir=self.folder
-        )  # whether it is what it should be is the caller's to ask
+        )  # the caller checks the file
 
     def _unlisted(self, name: str) -> None:
-        """Fetch a file that no manifest lists, if the hub says that it is no larger than it may be."""
+        """Fetch a file that no manifest lists, unless it is too large."""
         if name not in self.there:
             raise ArtefactError(f"{self.repo}: no {name} there: not a release of gym-open")
         if (size := self.there[name].size) > _MAX_UNLISTED:
             raise ArtefactError(f"{self.repo}: {name}: {size:,} bytes are too many for a release of gym-open")
         self._fetch(name)
         if (came := (self.folder / name).stat().st_size) != size:
-            raise ArtefactError(f"{self.repo}: {name}: {came:,} bytes came, the hub told of {size:,}; try elsewhere")
+            raise ArtefactError(f"{self.repo}: {name}: {came:,} bytes came, the hub announced {size:,}; try again")
 
     def _listed_file(self, name: str, entry: Entry) -> None:
-        """Fetch a file, unless it came in an earlier try."""
+        """Fetch a file, unless an earlier pull fetched it."""
         path = self.folder / name
         if path.is_file() and sha256_file(path) == entry.sha256:
             return
         self._fetch(name)
         if path.stat().st_size != entry.bytes or sha256_file(path) != entry.sha256:
-            raise ArtefactError(
-                f"{self.repo}: {name} came with other bytes than {MANIFEST} says; try again or elsewhere"
-            )
+            raise ArtefactError(f"{self.repo}: {name} does not match {MANIFEST}; try again, or another source")
 
     def _listed(self) -> dict[str, Entry]:
-        """The manifest's entries, if a release may hold them all, and the hub says that it has them in these sizes."""
+        """Read the manifest, and check that its files belong to a release and have the same sizes on the hub."""
         try:
             entries = msgspec.json.decode((self.folder / MANIFEST).read_bytes(), type=dict[str, Entry])
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-            raise ArtefactError(f"{self.repo}: {MANIFEST} is none of a release: {error}") from None
+            raise ArtefactError(f"{self.repo}: {MANIFEST} is not that of a release: {error}") from None
         for name, entry in entries.items():
             if not belongs(name) or name in {MANIFEST, SIGNATURE}:
                 raise ArtefactError(f"{self.repo}: {MANIFEST} lists {name!r}, which no release holds; do not trust it")
@@ -160,14 +158,14 @@ class _Pull:
             raise ArtefactError(f"{self.repo}: {MANIFEST} does not list {INFO_PATH}: not a release of gym-open")
         return entries
 
-    def _check_told(self, version: str) -> None:
-        """Check that the release is the one that was asked for, by its own `info.json`."""
-        name, found = told(self.folder / INFO_PATH)
+    def _check_identity(self, version: str) -> None:
+        """Check by `info.json` that this is the requested release."""
+        name, found = identity(self.folder / INFO_PATH)
         if name.partition("/")[2] != self.repo.partition("/")[2] or found != version:
             raise ArtefactError(f"{self.repo}: its tag v{version} holds {name} {found}; do not trust this source")
 
     def _compare(self, out: Path) -> None:
-        """Check that what is at `out` already is what the hub's manifest lists."""
+        """Check that the existing `out` has the manifest of the hub."""
         same = sha256_file(self.folder / MANIFEST)
         shutil.rmtree(self.folder)
         if not (out / MANIFEST).is_file() or artefacts.digest(out) != same:

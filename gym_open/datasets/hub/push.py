@@ -1,4 +1,4 @@
-"""A verified release to a hub, tagged with its version."""
+"""Push a verified release to a hub, tagged with its version."""
 
 import hashlib
 from collections.abc import Iterator, Mapping
@@ -19,29 +19,29 @@ if TYPE_CHECKING:
     from huggingface_hub import HfApi
 
 _KEPT_BY_HUB = ".gitattributes"
-"""The hub's own file: says which files it stores apart."""
+"""The hub's own file, which lists the files in separate storage."""
 
 
 def push_release(root: Path, repo: str, *, send: bool, endpoint: str | None = None) -> list[str]:
-    """Send the release at `root`, whole and nothing else, to a data set of a hub, and tag it with its version.
+    """Send exactly the files of the release at `root` to a data set of a hub, and tag them with the version.
 
-    Files of the version before are deleted there; its tag still has them. LeRobot looks for the tag `v3.0` (its
-    layout's version): it is moved to the newest release. A version that is there already with the same bytes is left
-    as it is, so that an interrupted push is simply repeated.
+    The files of the previous version are deleted there; its tag keeps them. LeRobot looks for the tag `v3.0` (the
+    version of its layout), which is moved to the newest release. A version that exists there with the same bytes is
+    left unchanged, so that an interrupted push can be repeated.
 
     Args:
-        root: folder of a release; it is verified first.
-        repo: OWNER/NAME of the data set, made if it is missing. NAME must be the release's own.
-        send: without it nothing touches a network.
-        endpoint: address of the hub; by default HF_ENDPOINT or huggingface.co. The token is what `hf auth login`
-            stored, or HF_TOKEN.
+        root: folder of a release. It is verified first.
+        repo: OWNER/NAME of the data set; it is created if it is missing. NAME must be that of the release.
+        send: use the network. Without it nothing is sent.
+        endpoint: address of the hub; by default HF_ENDPOINT or huggingface.co. The token is the one that
+            `hf auth login` stored, or HF_TOKEN.
 
     Returns:
-        What was sent, or would be, line by line.
+        The files that were sent, or would be sent, one per line.
 
     Raises:
-        ArtefactError: if the release does not verify, or the version is on the hub with other bytes.
-        UsageError: if the repository's name is not the release's, or a higher version is there already.
+        ArtefactError: if the release does not verify, or the hub has the version with other bytes.
+        UsageError: if the repository has another name than the release, or already has a higher version.
         GymOpenError: if the hub cannot be reached, or refuses.
     """
     name, version = verified(root)
@@ -56,7 +56,7 @@ def push_release(root: Path, repo: str, *, send: bool, endpoint: str | None = No
         known = tags(api, repo)
         commit = known.get(f"v{version}")
         if commit is not None:
-            plan = [f"{repo}: v{version} is there already, byte for byte; nothing was sent"]
+            plan = [f"{repo}: v{version} is there already with the same bytes; nothing was sent"]
             if wrong := _differences(api, repo, commit, root, entries):
                 raise ArtefactError(
                     f"{repo}: v{version} is published with other bytes ({wrong[0]}); a published version is never "
@@ -65,7 +65,7 @@ def push_release(root: Path, repo: str, *, send: bool, endpoint: str | None = No
         else:
             if known and versions({**known, f"v{version}": ""})[-1] != parse(version):
                 raise UsageError(
-                    f"{repo}: a version above {version} is there already; versions are pushed in their order"
+                    f"{repo}: a version above {version} is there already; push versions in ascending order"
                 )
             commit = _upload(api, repo, root, entries, f"{name} {version}")
             api.create_tag(repo, tag=f"v{version}", revision=commit, repo_type="dataset")
@@ -100,7 +100,7 @@ def _upload(api: "HfApi", repo: str, root: Path, entries: Mapping[str, Entry], t
 
 @contextmanager
 def _as_default(endpoint: str) -> Iterator[None]:
-    """Of any but the default endpoint, huggingface_hub 0.35 cannot read the address of the commit that it made."""
+    """Make `endpoint` the default: for any other endpoint, huggingface_hub 0.35 cannot read the address of a commit."""
     from huggingface_hub import constants
 
     default, constants.ENDPOINT = constants.ENDPOINT, endpoint
@@ -111,7 +111,7 @@ def _as_default(endpoint: str) -> Iterator[None]:
 
 
 def _differences(api: "HfApi", repo: str, revision: str, root: Path, entries: Mapping[str, Entry]) -> list[str]:
-    """Names of the files in which a revision on the hub and the release at `root` differ."""
+    """Names of the files that differ between a revision on the hub and the release at `root`."""
     from huggingface_hub.utils.sha import git_hash
 
     there = tree(api, repo, revision)
@@ -128,7 +128,7 @@ def _differences(api: "HfApi", repo: str, revision: str, root: Path, entries: Ma
 
 
 def _point_lerobot(api: "HfApi", repo: str, known: Mapping[str, str]) -> None:
-    """Move the tag by which LeRobot finds a data set of its layout to the newest release."""
+    """Move the tag by which LeRobot finds a data set to the newest release."""
     newest = known["v{}.{}.{}".format(*versions(known)[-1])]
     if known.get(CODEBASE_VERSION) == newest:
         return

@@ -1,4 +1,4 @@
-"""Verifying releases: every byte, how the parts fit together, every frame, and a replay. docs/verifying.md has more."""
+"""Verify releases: every byte, the structure, every frame, and a replay. See docs/verifying.md."""
 
 from gym_open.artefacts import Problem
 from gym_open.datasets.verify.report import Check, VerificationReport

@@ -1,7 +1,7 @@
-"""The replay of a release in a process of its own.
+"""Replay of a release in a separate process.
 
-MuJoCo ends its process, with a line in MUJOCO_LOG.TXT, if it meets a state that no play leads to, such as sleepers that
-touch. A stored state may be anything, so that only this process ends.
+MuJoCo ends its process, with a line in MUJOCO_LOG.TXT, if it loads a state that no simulation reaches, such as sleeping
+bodies that touch. The states in a release may be anything. In a separate process, such a state ends only that process.
 """
 
 import subprocess
@@ -19,7 +19,7 @@ from gym_open.formats.releases.reader import Release
 from gym_open.terminal import printable
 
 _CACHED_GROUPS = 4
-"""Row groups whose pictures stay in memory: episodes are read one after the other."""
+"""Number of row groups whose images stay in memory. Episodes are read one after the other."""
 
 
 class _ReplayRecord(msgspec.Struct):
@@ -29,7 +29,7 @@ class _ReplayRecord(msgspec.Struct):
 
 
 def replay_apart(release: Release, tolerance: float, findings: Findings) -> ReplayResult:
-    """As `replay_release`; if the simulation ends the process, that is a problem of the release."""
+    """Replay as `replay_release` does. If the simulation ends the process, that is a problem of the release."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "replay"
         code = f"import sys; from {__name__} import main; main(*sys.argv[1:])"
@@ -44,11 +44,11 @@ def replay_apart(release: Release, tolerance: float, findings: Findings) -> Repl
             return result.replay
         log = Path(folder) / "MUJOCO_LOG.TXT"
         said = log.read_text(errors="replace").strip().splitlines()[-1:] if log.exists() else []
-        what = printable(" ".join(said)[:300]) or "it said nothing"
+        what = printable(" ".join(said)[:300]) or "no message"
         findings.add(
             "meta/keyframes",
-            f"the simulation ended, code {done.returncode}: {what}; no play leads to such a state: do not use this "
-            "release",
+            f"the simulation ended, code {done.returncode}: {what}; no simulation reaches such a state: do not use "
+            "this release",
         )
         return ReplayResult([])
 
@@ -59,7 +59,7 @@ def main(root: str, tolerance: str, out: str) -> None:
     findings = Findings()
     try:
         replay = replay_release(release, float(tolerance), findings)
-    except Exception as error:  # what a hostile release makes libraries raise is not to be listed
+    except Exception as error:  # a hostile release can make libraries raise anything
         replay = ReplayResult([])
         findings.add(".", f"replay cannot be checked: {type(error).__name__}: {error}"[:500])
     Path(out).write_bytes(msgspec.msgpack.encode(_ReplayRecord(replay, findings.problems, findings.count)))

@@ -1,4 +1,4 @@
-"""Every frame decoded once: what must hold within an episode, and statistics and content digests computed anew."""
+"""Decode every frame once: check the episodes, and compute statistics and content digests again."""
 
 from collections.abc import Iterator, Mapping
 from itertools import groupby
@@ -11,7 +11,7 @@ import pyarrow as pa
 from gym_open import progress
 from gym_open.datasets.verify.report import Findings, rows_of
 from gym_open.datasets.writing.frames import NO_ACTION
-from gym_open.datasets.writing.statistics import STATISTICS, Merger, Stats, feature_stats, picture_stats, read_stats
+from gym_open.datasets.writing.statistics import STATISTICS, Merger, Stats, feature_stats, image_stats, read_stats
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases import content, parquet
 from gym_open.formats.releases.features import STATE_FIELDS, fps, objects, schema
@@ -33,20 +33,20 @@ from gym_open.formats.releases.reader import Release
 from gym_open.formats.releases.schemas import STATS, episodes_schema
 
 _ROUNDING = 1e-9
-"""Relative error of a mean or deviation that another processor's order of adding may make."""
+"""Relative error of a mean or standard deviation that another order of addition may cause."""
 _ROWS = 256
-"""Episodes whose statistics are Python objects at a time."""
+"""Number of episodes whose statistics are Python objects at the same time."""
 _THOUGHT = ("reward.intrinsic", "policy.entropy", "policy.value")
-"""Features that every action has."""
+"""Features with a finite value for every action."""
 _PADDED = (
     *_THOUGHT,
     *("contact.count", "contact.agent", "contact.impulse"),
 )
-"""Features that are 0 where there was no action."""
+"""Features that are 0 on the last frame, which has no action."""
 
 
 def check_contents(release: Release, findings: Findings) -> str:
-    """Check all frames and what is said of them; the content digest of the release as computed anew."""
+    """Check all frames, their statistics and digests; return the content digest, computed from the frames."""
     _check_files(release, findings)
     episodes, stored = release.episodes, release.table("content")
     mergers = {name: Merger() for name in release.info["features"]}
@@ -65,16 +65,16 @@ def check_contents(release: Release, findings: Findings) -> str:
                 continue
             for what in wrong_in(values, row, release.info["features"]):
                 findings.add(file, f"episode {number}: {what}")
-            found = {name: feature_stats(array) for name, array in values.items()} | {IMAGE: picture_stats(images)}
+            found = {name: feature_stats(array) for name, array in values.items()} | {IMAGE: image_stats(images)}
             for name, merger in mergers.items():
                 merger.add(said[name])
                 if not _alike(found[name], said[name]):
-                    findings.add("meta/episodes", f"episode {number}: statistics of {name} are not those of its frames")
+                    findings.add("meta/episodes", f"episode {number}: statistics of {name} do not fit its frames")
             of_features = {name: content.feature_digest(array) for name, array in values.items()
                            if name not in BOOKKEEPING} | {IMAGE: content.feature_digest(images)}  # fmt: skip
             for name, digest in of_features.items():
                 if stored[name].iloc[number] != digest:
-                    findings.add(file, f"episode {number}: {name} is not what its content digest says")
+                    findings.add(file, f"episode {number}: {name} does not match its content digest")
             digests.append(content.episode_digest(of_features, row))
             pictures.append(of_features[IMAGE])
             bar.advance(stop - first)
@@ -85,31 +85,31 @@ def check_contents(release: Release, findings: Findings) -> str:
 
 
 def _check_files(release: Release, findings: Findings) -> None:
-    """Nothing of a data file goes unread: pictures have no path, and its metadata is that of its features."""
+    """Check the parts of data files that readers ignore: images have no path, and the metadata fits the features."""
     columns = schema(release.info["features"])
     for path in sorted(release.root.glob(DATA_PATHS)):
         name = path.relative_to(release.root).as_posix()
         with parquet.opened(path) as file:
             found = file.schema_arrow
             plain = found.metadata == columns.metadata and not any(found.field(item).metadata for item in found.names)
-        findings.expect(plain, name, "its metadata is not that of its features")
+        findings.expect(plain, name, "its metadata does not fit its features")
         if release.info["features"][IMAGE]["dtype"] == "image":
             paths = parquet.read(path, columns, [f"{IMAGE}.path"]).column(0).combine_chunks().field("path")
-            findings.expect(paths.null_count == len(paths), name, f"{IMAGE} has a path beside its bytes")
+            findings.expect(paths.null_count == len(paths), name, f"{IMAGE} has a path in addition to its bytes")
 
 
 def wrong_in(values: Mapping[str, np.ndarray], row: Mapping[str, Any], described: Mapping[str, Any]) -> Iterator[str]:
-    """What is wrong with the numbers of one episode, in words.
+    """Find the faults in the numbers of one episode, in words.
 
     Args:
         values: all numeric features, `row["length"]` frames each.
-        row: the episode's of `meta/episodes`.
-        described: features as in `meta/info.json`.
+        row: row of the episode in `meta/episodes`.
+        described: features from `meta/info.json`.
     """
     played = np.arange(row["length"]) < row["steps"]
     for name, wanted in _places(row, played).items():
         if not np.array_equal(values[name], wanted):
-            yield f"{name} is not what its place in the episode makes it"
+            yield f"{name} does not fit its place in the episode"
     for good, what in (*_moves(values, played), *_states(values, described)):
         if not good:
             yield what
@@ -123,7 +123,7 @@ def wrong_in(values: Mapping[str, np.ndarray], row: Mapping[str, Any], described
 
 
 def _places(row: Mapping[str, Any], played: np.ndarray) -> dict[str, np.ndarray]:
-    """Features that follow from where a frame stands in its episode."""
+    """Features that follow from the place of a frame in its episode."""
     frames, steps = row["length"], row["steps"]
     number = np.arange(frames)
     return {
@@ -140,29 +140,32 @@ def _places(row: Mapping[str, Any], played: np.ndarray) -> dict[str, np.ndarray]
 
 
 def _moves(values: Mapping[str, np.ndarray], played: np.ndarray) -> Iterator[tuple[bool, str]]:
-    """What must hold of actions and contacts, and the words if it does not."""
+    """Checks of actions and contacts: whether each holds, and the words if not."""
     actions, width = values["action.index"], values["action"].shape[1]
     known = bool(((actions >= 0) & (actions < width))[played].all() and (actions[~played] == NO_ACTION).all())
     yield known, f"action.index is not 0 to {width - 1}, and {NO_ACTION} on the last frame"
-    one_hot = np.eye(width + 1, width, dtype=np.float32)  # its last row, which -1 finds, is all zero
-    yield not known or np.array_equal(values["action"], one_hot[actions]), "action is not action.index as one of nine"
+    one_hot = np.eye(width + 1, width, dtype=np.float32)  # -1 selects its last row, which is all zero
+    yield (
+        not known or np.array_equal(values["action"], one_hot[actions]),
+        "action is not one-hot action.index",
+    )
     count, agent, impulse = (values[f"contact.{name}"] for name in ("count", "agent", "impulse"))
     agree = np.isfinite(impulse) & (count >= agent) & (agent >= 0) & ((impulse == 0) | (count > 0))
     yield bool(agree.all()), "contact.count, contact.agent and contact.impulse do not agree"
 
 
 def _states(values: Mapping[str, np.ndarray], described: Mapping[str, Any]) -> Iterator[tuple[bool, str]]:
-    """What must hold of states."""
+    """Checks of states: whether each holds, and the words if not."""
     every = values["observation.environment_state"]
     state = every.reshape(len(every), -1, len(STATE_FIELDS))
     yield bool(np.isfinite(state).all()), "observation.environment_state is not finite"
     agent = state[:, objects(dict(described)).index("agent")]
     same = np.array_equal(values["observation.state"], agent)
-    yield same, "observation.state is not the agent's in observation.environment_state"
+    yield same, "observation.state is not the state of the agent in observation.environment_state"
 
 
 def _statistics(release: Release) -> Iterator[dict[str, Stats]]:
-    """Statistics of each episode as `meta/episodes` has them, a row group at a time."""
+    """Read the statistics of each episode from `meta/episodes`, one row group at a time."""
     described = release.info["features"]
     columns = episodes_schema(described)
     names = [name for name in columns.names if name.startswith(STATS)]
@@ -179,11 +182,11 @@ def _read_statistics(
         for row in rows:
             yield {name: read_stats({key: row[f"{STATS}{name}/{key}"] for key in STATISTICS}) for name in described}
     except (TypeError, ValueError, IndexError) as error:
-        raise ArtefactError(f"{path}: statistics that are none: {error}; get the release anew") from None
+        raise ArtefactError(f"{path}: invalid statistics: {error}; get the release again") from None
 
 
 def _alike(one: Stats, other: Stats) -> bool:
-    """Whether statistics are the same: exactly, apart from rounding of means and deviations."""
+    """Whether statistics are equal, apart from rounding errors of means and standard deviations."""
     if any(getattr(one, name).shape != getattr(other, name).shape for name in STATISTICS[:-1]):
         return False
     exact = one.count == other.count and np.array_equal(one.min, other.min) and np.array_equal(one.max, other.max)
@@ -193,18 +196,18 @@ def _alike(one: Stats, other: Stats) -> bool:
 
 
 def _check_stats(release: Release, mergers: Mapping[str, Merger], findings: Findings) -> None:
-    """`meta/stats.json` is that of all episodes."""
+    """Check that `meta/stats.json` follows from all episodes."""
     said = read_json(release.root / STATS_PATH, dict[str, dict[str, Any]])
     for name in sorted(said.keys() | mergers.keys()):
         try:
             good = name in mergers and _alike(mergers[name].result(), read_stats(said[name]))
         except (KeyError, TypeError, ValueError, IndexError):
             good = False
-        findings.expect(good, STATS_PATH, f"statistics of {name} are not those of the episodes")
+        findings.expect(good, STATS_PATH, f"statistics of {name} do not follow from the episodes")
 
 
 def _check_digests(release: Release, episodes: list[str], pictures: list[str], findings: Findings) -> str:
-    """`meta/digests.json` is that of what was decoded; the release's own digest, computed anew."""
+    """Check that `meta/digests.json` follows from the decoded content; return the digest of the release."""
     said = read_json(release.root / DIGESTS_PATH, dict[str, Any])
     files: dict[str, str] = {}
     rows = release.episodes
@@ -225,7 +228,7 @@ def _check_digests(release: Release, episodes: list[str], pictures: list[str], f
     found = said.get("files")
     found = found if isinstance(found, dict) else {}
     for name in sorted(files.keys() | found.keys()):
-        findings.expect(files.get(name) == found.get(name), name, f"its content is not what {DIGESTS_PATH} says")
-    findings.expect(said.get("release") == total, DIGESTS_PATH, "the release's content digest is not that of its parts")
-    findings.expect(set(said) == {"release", "files"}, DIGESTS_PATH, "holds something else than release and files")
+        findings.expect(files.get(name) == found.get(name), name, f"its content does not match {DIGESTS_PATH}")
+    findings.expect(said.get("release") == total, DIGESTS_PATH, "the content digest does not follow from its parts")
+    findings.expect(set(said) == {"release", "files"}, DIGESTS_PATH, "holds other keys than release and files")
     return total

@@ -37,16 +37,16 @@ from gym_open.formats.releases.reader import Release
 _DOCUMENTS = (CARD, LICENSE, CHANGELOG, CROISSANT, PROVENANCE)
 _SCRIPT = "rebuild/rebuild.sh"
 _WITH_PARENTS = (_SCRIPT, CHANGELOG)
-"""What tells of the releases that one is made of, or follows, and cannot be written without them."""
+"""Documents about the parents of a release, which cannot be written without the parents."""
 
 
 def check_documents(release: Release, findings: Findings) -> str:
-    """Digests, names, versions and settings are the same wherever they stand."""
+    """Check that digests, names, versions and settings agree in all documents and records."""
     root = release.root
     manifest = artefacts.manifest(root)
     missing = [name for name in _DOCUMENTS if name not in manifest]
     for name in missing:
-        findings.add(name, "missing: every release has it")
+        findings.add(name, "missing: every release has it; get the release again")
     if missing:
         return ""
     _check_croissant(root, manifest, release.info["gym_open"], findings)
@@ -61,9 +61,9 @@ def _check_croissant(root: Path, manifest: dict[str, Entry], ours: dict[str, Any
     found = {str(item.get("contentUrl")): item.get("sha256") for item in listed}
     expected = {name: entry.sha256 for name, entry in manifest.items() if name.endswith((".parquet", ".mp4"))}
     for name in _unlike(expected, found):
-        findings.add(CROISSANT, f"the SHA-256 of {name} is not that of the manifest")
+        findings.add(CROISSANT, f"the SHA-256 of {name} is not that in the manifest")
     good = said.get("version") == ours["version"] and said.get("name") == ours["name"].replace("/", "-")
-    findings.expect(good, CROISSANT, f"its name or version is not that of {INFO_PATH}")
+    findings.expect(good, CROISSANT, f"its name or version is not that in {INFO_PATH}")
 
 
 def _check_provenance(root: Path, manifest: dict[str, Entry], findings: Findings) -> None:
@@ -71,15 +71,15 @@ def _check_provenance(root: Path, manifest: dict[str, Entry], findings: Findings
     found = {str(item.get("name")): _sha256(item) for item in _items(said.get("subject"))}
     expected = {name: entry.sha256 for name, entry in manifest.items() if name not in RECORDS}
     for name in _unlike(expected, found):
-        findings.add(PROVENANCE, f"the SHA-256 of {name} is not that of the manifest")
+        findings.add(PROVENANCE, f"the SHA-256 of {name} is not that in the manifest")
     build: Any = said.get("predicate")
     for key in ("buildDefinition", "resolvedDependencies"):
         build = build.get(key) if isinstance(build, dict) else None
     parents = artefacts.lineage(root).parents
     same = [_sha256(item) for item in _items(build)] == [parent.digest for parent in parents]
-    findings.expect(same, PROVENANCE, f"its dependencies are not the parents of {artefacts.LINEAGE}")
+    findings.expect(same, PROVENANCE, f"its dependencies are not the parents in {artefacts.LINEAGE}")
     for number, parent in enumerate(parents):
-        findings.expect(parent.is_consistent(), artefacts.LINEAGE, f"the records of parent {number} are not its own")
+        findings.expect(parent.is_consistent(), artefacts.LINEAGE, f"parent {number}: records and digest differ")
 
 
 def _check_records(release: Release, findings: Findings) -> None:
@@ -99,23 +99,23 @@ def _check_records(release: Release, findings: Findings) -> None:
     lineage = artefacts.lineage(root)
     if command == "build":
         logs = [parent.digest for parent in lineage.parents if parent.lineage.kind == "log"]
-        findings.expect(held_logs(lineage) == logs, artefacts.LINEAGE, "the logs that it holds are not its parents")
+        findings.expect(held_logs(lineage) == logs, artefacts.LINEAGE, "its list of logs is not that of its parents")
     for name, value in expected.items():
         findings.expect(lineage.facts.get(name) == value, artefacts.LINEAGE, f"{name} is not that of the release")
     said: Any = read_json(root / PROVENANCE, dict[str, Any])
     for key in ("predicate", "buildDefinition", "externalParameters"):
         said = said.get(key) if isinstance(said, dict) else None
     same = said == {"command": command, "config": config}
-    findings.expect(same, PROVENANCE, f"its command or configuration is not that of {artefacts.CONFIG}")
+    findings.expect(same, PROVENANCE, f"its command or configuration is not that in {artefacts.CONFIG}")
     if command == "build" and isinstance(built, ReleaseConfig):
         _check_draw(release, built, findings)
 
 
 def made_by(root: Path) -> tuple[Command, Header]:
-    """What made the release at `root`, and with which configuration.
+    """Return the command that made the release at `root`, and its configuration.
 
     Raises:
-        ArtefactError: if the configuration is none of ours, or not all of one.
+        ArtefactError: if the configuration is not valid or not complete.
     """
     said = artefacts.config_of(root)
     settings = {name: value for name, value in said.items() if name != "append"}
@@ -129,11 +129,11 @@ def made_by(root: Path) -> tuple[Command, Header]:
         whole = {**to_dict(config), "append": True} if append else to_dict(config)
         if artefacts.canonical_json(whole) == artefacts.canonical_json(said):
             return "append" if append else command, config
-    raise ArtefactError(f"{root / artefacts.CONFIG}: the configuration of no release; get the release anew")
+    raise ArtefactError(f"{root / artefacts.CONFIG}: not the configuration of a release; get the release again")
 
 
 def _check_draw(release: Release, config: ReleaseConfig, findings: Findings) -> None:
-    """Which worlds or streams are set aside comes of the seed; an append has those of the version before, too."""
+    """Check that the seed gives the worlds or streams in val. An append also keeps those of the previous version."""
     worlds, switches = release.table("worlds"), release.table("switches")
     puzzles = dict(zip(zip(worlds["stream"], worlds["world"], strict=True), worlds["puzzle"], strict=True))
     entered = switches[switches["to_world"] >= 0]
@@ -142,11 +142,11 @@ def _check_draw(release: Release, config: ReleaseConfig, findings: Findings) -> 
     drawn = assign(units, config.val_fraction, config.seed, {})
     val = sorted(unit for unit, split in drawn.items() if split == "val")
     same = val == release.info["gym_open"]["val"]
-    findings.expect(same, artefacts.CONFIG, "its seed and val_fraction set other worlds or streams aside")
+    findings.expect(same, artefacts.CONFIG, "its seed and val_fraction give other worlds or streams in val")
 
 
 def _items(value: Any) -> list[dict[str, Any]]:
-    """The objects in a list that may be anything."""
+    """The objects in a value that may be anything."""
     return [item for item in value if isinstance(item, dict)] if isinstance(value, list) else []
 
 
@@ -160,9 +160,9 @@ def _unlike(expected: dict[str, str], found: dict[str, Any]) -> list[str]:
 
 
 def check_texts(release: Release, findings: Findings) -> str:
-    """Write the papers again, and hold the SHA-256 of each against the manifest; figures are left out.
+    """Write the documents again, except figures, and compare the SHA-256 of each with the manifest.
 
-    A difference is a problem only if this very version says that it wrote them: another may write other words.
+    A difference is a problem only if the lineage names this version of the code: another one may write other words.
     """
     root, lineage = release.root, artefacts.lineage(release.root)
     said = {name: entry.sha256 for name, entry in artefacts.manifest(root).items()}
@@ -172,16 +172,17 @@ def check_texts(release: Release, findings: Findings) -> str:
     wrong = sorted(name for name in names - set(left) if said.get(name) != expected.get(name))
     if wrong and lineage.code == artefacts.code_version("release"):
         for name in wrong:
-            findings.add(name, "not what this version of gym-open writes of this release, and says that it wrote")
-    words = (
-        f"{', '.join(wrong)}: not what this version of gym-open would write, but {lineage.code} may" if wrong else ""
-    )
+            findings.add(
+                name,
+                "not what this version of gym-open, which lineage.json names, writes about it",
+            )
+    words = f"{', '.join(wrong)}: not what this version of gym-open writes, but {lineage.code} may" if wrong else ""
     words = words or "card, licence, Croissant and rebuild/ are what this version of gym-open writes"
-    return f"{words}; not checked: {', '.join(left)}, which tell of other releases" if left else words
+    return f"{words}; not checked: {', '.join(left)}, which describe other releases" if left else words
 
 
 def _written(release: Release) -> dict[str, bytes]:
-    """Papers as they would be written now, as if the release were made of no other."""
+    """Write the documents as this version does, as if the release had no other release as parent."""
     command, config = made_by(release.root)
     facts = gather(release)
     newest = max((log.batch for log in facts.logs), default=0)

@@ -1,7 +1,7 @@
-"""Loads some frames of a release as users do, with plain LeRobot: `python -P FILE ROOT NAME OUT EPISODE…`.
+"""Load some frames of a release as users do, with LeRobot: `python -P FILE ROOT NAME OUT EPISODE…`.
 
-A process of its own: off-line from the first import on, with a cache that is thrown away, and if a library falls over
-what it reads, only this process does. It needs NumPy and LeRobot alone, so LeRobot's environment may lack gym-open.
+This runs in a separate process: off-line from the first import, and with a temporary cache. If a library crashes, only
+this process ends. It needs only NumPy and LeRobot, so LeRobot's environment may lack gym-open.
 """
 
 import sys
@@ -11,7 +11,7 @@ import numpy as np
 
 
 def main(root: str, name: str, out: str, *episodes: str) -> None:
-    """Write the first and the last frame of some episodes, all numbers of them and the picture, to an npz file."""
+    """Write the first and last frame of some episodes, with all numbers and the image, to an npz file."""
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     found: dict[str, np.ndarray] = {}
@@ -22,7 +22,7 @@ def main(root: str, name: str, out: str, *episodes: str) -> None:
         for place, index in (("first", 0), ("last", len(dataset) - 1)):
             for feature in dataset.meta.features:
                 found[f"{episode}/{place}/{feature}"] = dataset[index][feature].numpy()
-    np.savez(out, **found)  # pyright: ignore[reportArgumentType]  # NumPy takes its own option for an array
+    np.savez(out, **found)  # pyright: ignore[reportArgumentType]  # pyright takes an option of savez for an array
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Whether the readers that people use give the same frames as ours: LeRobot, off-line, and pandas."""
+"""Check that LeRobot (off-line) and pandas read the same frames as our reader."""
 
 import os
 import subprocess
@@ -17,28 +17,28 @@ from gym_open.formats.releases.layout import IMAGE, data_path
 from gym_open.formats.releases.reader import Release
 
 VARIABLE = "GYM_OPEN_LEROBOT"
-"""A Python that has LeRobot, whose package wants older versions of many others: that of an environment of its own."""
+"""Environment variable: a Python with LeRobot, usually of a separate environment, since LeRobot needs old packages."""
 _LIMIT_S = 900
 _ROUNDING = 0.01
-"""Levels by which a picture of 0 to 1 in float32 may be off, times 255."""
+"""Largest difference in levels of 255 between our image and one in float32 from 0 to 1."""
 
 
 def chosen(release: Release) -> list[int]:
-    """Episodes that are read: the first, one in the middle, the last."""
+    """Episodes to read: the first, one in the middle, and the last."""
     count = len(release.episodes)
     return sorted({0, count // 2, count - 1})
 
 
 def python_with_lerobot() -> str | None:
-    """The Python that reads with LeRobot: the one that `GYM_OPEN_LEROBOT` names, else this one if LeRobot is here."""
+    """The Python with LeRobot: from `GYM_OPEN_LEROBOT`, else this one if LeRobot is installed, else None."""
     return os.environ.get(VARIABLE) or (sys.executable if find_spec("lerobot") else None)
 
 
 def check_lerobot(release: Release, findings: Findings) -> bool:
-    """LeRobot loads it without a network and gives our frames. False if there is no LeRobot to ask.
+    """Check that LeRobot loads the release off-line with our frames. False if there is no LeRobot.
 
     Raises:
-        UsageError: if `GYM_OPEN_LEROBOT` names no program.
+        UsageError: if `GYM_OPEN_LEROBOT` is no program.
     """
     python = python_with_lerobot()
     if python is None:
@@ -47,9 +47,9 @@ def check_lerobot(release: Release, findings: Findings) -> bool:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "frames.npz"
         offline = {"HF_HUB_OFFLINE": "1", "HF_DATASETS_OFFLINE": "1", "HF_HOME": folder, "HF_LEROBOT_HOME": folder}
-        plain = Path(folder) / "release"  # Hugging Face takes [, * and ? in a path for patterns
+        plain = Path(folder) / "release"  # Hugging Face reads [, * and ? in a path as patterns
         plain.symlink_to(release.root.absolute(), target_is_directory=True)
-        # By its file, since that Python may lack this package; -P keeps the files beside it out of its imports.
+        # Run the file, since that Python may lack this package; -P keeps its folder out of the imports.
         words = [python, "-P", lerobot_frames.__file__, str(plain), release.name, str(out)]
         try:
             done = subprocess.run(  # noqa: S603  # our own module, by a list of words
@@ -77,22 +77,22 @@ def _compare(release: Release, found: dict[str, np.ndarray], episodes: list[int]
         file = data_path(int(row["data/chunk_index"]), int(row["data/file_index"]))
         good = found[f"{episode}/length"][0] == stop - first
         good &= found[f"{episode}/total"].tolist() == [len(release.episodes), len(release)]
-        findings.expect(bool(good), file, f"LeRobot finds another number of episodes or frames than episode {episode}")
+        findings.expect(bool(good), file, f"LeRobot finds another number of episodes or frames in episode {episode}")
         for place, index in (("first", first), ("last", stop - 1)):
-            values, (picture,) = release.numbers(index, index + 1), release.images([index])
+            values, (image,) = release.numbers(index, index + 1), release.images([index])
             theirs = found[f"{episode}/{place}/{IMAGE}"].transpose(1, 2, 0) * 255
-            off = np.abs(theirs - picture).max()
+            off = np.abs(theirs - image).max()
             findings.expect(
                 bool(off <= _ROUNDING), file,
-                f"LeRobot's {place} picture of episode {episode} is off by {off:.3g} levels",
+                f"LeRobot's {place} image of episode {episode} differs by {off:.3g} levels",
             )  # fmt: skip
             for name, array in values.items():
                 same = np.array_equal(array[0], found[f"{episode}/{place}/{name}"].reshape(array[0].shape), True)
-                findings.expect(same, file, f"LeRobot's {name} of the {place} frame of episode {episode} is another")
+                findings.expect(same, file, f"LeRobot's {name} of the {place} frame of episode {episode} differs")
 
 
 def check_pandas(release: Release, findings: Findings) -> None:
-    """Pandas reads the first and the last data file, and gives our frames."""
+    """Check that pandas reads our frames from the first and the last data file."""
     import pandas as pd
 
     rows = release.episodes
@@ -110,4 +110,4 @@ def check_pandas(release: Release, findings: Findings) -> None:
                 findings.expect(same, file, f"pandas finds another {name} in frame {index}")
             if release.info["features"][IMAGE]["dtype"] == "image":
                 same = np.array_equal(decode_untrusted(found[IMAGE]["bytes"]), release.images([index])[0])
-                findings.expect(same, file, f"pandas finds another picture in frame {index}")
+                findings.expect(same, file, f"pandas finds another image in frame {index}")

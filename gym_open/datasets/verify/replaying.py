@@ -1,4 +1,4 @@
-"""Playing a release again: from every keyframe, the stored actions in a fresh simulation, down to the pixel."""
+"""Replay a release: from every keyframe, simulate the stored actions again and compare every pixel."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -22,29 +22,29 @@ from gym_open.replay.table import replay_tables, worst_verdict
 
 
 class ReplayResult(msgspec.Struct):
-    """What came of it."""
+    """Result of the replay of a release."""
 
     windows: list[ReplayWindow]
     steps: int = 0
-    """Steps that were played again."""
+    """Number of replayed steps."""
     skipped: int = 0
-    """Steps before the first keyframe of their episode."""
+    """Number of steps before the first keyframe of their episode, which cannot be replayed."""
 
     @property
     def outcome(self) -> str:
-        """In words."""
+        """The result in words."""
         left = f", {self.skipped:,} not replayed (before the first state of their episode)" if self.skipped else ""
         if not self.windows:
             return f"nothing to replay{left}"
         return f"{worst_verdict(self.windows)} ({self.steps:,} steps in {len(self.windows):,} windows{left})"
 
     def tables(self, tolerance: float) -> list[Table]:
-        """One row per stream, and the windows that are not identical."""
+        """Tables with one row per stream, and with the windows that are not identical."""
         return replay_tables(self.windows, tolerance)
 
 
 def replay_release(release: Release, tolerance: float, findings: Findings) -> ReplayResult:
-    """Play all episodes again and note those that went another way. Memory is that of one episode and all states."""
+    """Replay all episodes and record those that diverge. Memory holds one episode and all keyframes."""
     done = ReplayResult([])
     names = tuple(release.info["gym_open"]["objects"])
     player = Player(tolerance)
@@ -52,7 +52,7 @@ def replay_release(release: Release, tolerance: float, findings: Findings) -> Re
         findings.add(
             "meta/info.json",
             f"its {len(names)} objects are not the {len(player.world.inventory)} of this version's world; replay it "
-            "with the version that its provenance names",
+            "with the version in its provenance",
         )
         return done
     played = _EpisodeReplayer(release, player)
@@ -74,13 +74,13 @@ def replay_release(release: Release, tolerance: float, findings: Findings) -> Re
         findings.add(
             "meta/keyframes",
             f"none of {done.skipped:,} steps has a stored state before it: nothing can be replayed; get a release with "
-            "them, or check all but the replay",
+            "stored states, or verify without the replay",
         )
     return done
 
 
 def _difference(window: ReplayWindow, release: Release) -> tuple[str, str]:
-    """In which file a window diverged, and where and by how much, in words."""
+    """The file in which a window diverged, and where and by how much, in words."""
     rows = release.episodes
     rows = rows[(rows["stream"] == window.stream) & (rows["segment"] == window.segment)].sort_values("piece")
     (row,) = rows_of(rows[rows["first_step"] <= (window.first_diverged or 0)].tail(1))
@@ -93,7 +93,7 @@ def _difference(window: ReplayWindow, release: Release) -> tuple[str, str]:
 
 
 class _EpisodeReplayer:
-    """Episodes, one at a time, with what a replay needs to know of all of them."""
+    """Replays episodes one at a time, with the keyframes of all of them in memory."""
 
     def __init__(self, release: Release, player: Player) -> None:
         self._release, self._player = release, player
@@ -104,15 +104,15 @@ class _EpisodeReplayer:
         self._states = frames["integration_state"].tolist()
         self.skipped = 0
         self.file = ""
-        """Where the episode in hand lies."""
+        """File of the current episode."""
         self._next: tuple[int, int, int] | None = None
-        """Stream, segment and piece that would go on from where the world is now."""
+        """Stream, segment and piece that continue from the current state of the world."""
 
     def episode(self, row: dict[str, Any]) -> Iterator[ReplayWindow]:
-        """Play an episode; every window that ends in it. One goes on in the next episode, if that is the next piece.
+        """Replay an episode; yield every window that ends in it. A window can continue in the next piece.
 
         Raises:
-            GymOpenError: if something of it cannot be played by this version.
+            GymOpenError: if this version cannot replay a part of it.
         """
         player, number, steps = self._player, row["episode_index"], row["steps"]
         place = row["stream"], row["segment"], row["piece"]
@@ -137,14 +137,14 @@ class _EpisodeReplayer:
                 )
 
     def finish(self) -> list[ReplayWindow]:
-        """The window that was going on, if there is one."""
+        """End the current window and return it, if there is one."""
         window = self._player.finish()
         return [] if window is None else [window]
 
     def _restart(
         self, row: dict[str, Any], i: int, state: np.ndarray, seen: RecordedObservation
     ) -> Iterator[ReplayWindow]:
-        """End a window at frame `i` of an episode, and begin the next one in the stored state."""
+        """End the window at frame `i` of an episode, and begin the next one from the stored state."""
         player = self._player
         if player.window is None:
             player.load(self._puzzles[row["stream"], row["world"]])
@@ -156,7 +156,7 @@ class _EpisodeReplayer:
 
 
 def _against(count: int, agent: int, impulse: np.float32) -> Callable[[tuple[Contact, ...]], float | None]:
-    """How far a step's contacts are from the three numbers of a release (N s); infinite if there are not as many."""
+    """Make a function that compares contacts with the numbers in a release (N s); infinite if their number differs."""
 
     def error(found: tuple[Contact, ...]) -> float | None:
         total = np.float32(sum(contact.impulse for contact in found))

@@ -1,4 +1,4 @@
-"""What came of a verification."""
+"""Results of a verification: checks, problems and their tables."""
 
 from collections import Counter
 from typing import TYPE_CHECKING, Any
@@ -13,68 +13,68 @@ if TYPE_CHECKING:
     import pandas as pd
 
 MOST = 1000
-"""Problems that are kept; of more only the number is told."""
+"""Largest number of recorded problems. Further problems are only counted."""
 _SHOWN = 50
-"""Problems that are listed for a person."""
+"""Largest number of problems in a table."""
 NOT_CHECKED = "not checked"
 
 
 class Check(msgspec.Struct):
-    """One of the things that are verified."""
+    """One check of a verification."""
 
     name: str
     outcome: str
-    """In words; `NOT_CHECKED` if something before it was wrong."""
+    """Outcome in words; `NOT_CHECKED` if an earlier check failed."""
     good: bool | None
-    """None if it was not checked."""
+    """Whether the check passed; None if it was not reached."""
 
 
 class Findings:
-    """Problems as they are found."""
+    """Collects problems as they are found."""
 
     def __init__(self) -> None:
         self.problems: list[Problem] = []
         self.count = 0
-        """Of all, those beyond `MOST` too."""
+        """Number of all problems, including those beyond `MOST`."""
 
     def add(self, file: str, what: str) -> None:
-        """Note a problem with a file."""
+        """Record a problem of a file."""
         self.count += 1
         if len(self.problems) < MOST:
             self.problems.append(Problem(file, what))
 
     def expect(self, good: bool, file: str, what: str) -> None:
-        """Note a problem with a file unless all is `good`."""
+        """Record a problem of a file unless `good`."""
         if not good:
             self.add(file, what)
 
 
 def rows_of(frame: "pd.DataFrame") -> list[dict[str, Any]]:
-    """Rows of a table as plain values, by name."""
+    """Rows of a table as dictionaries of plain values."""
     return [{str(name): value for name, value in row.items()} for row in frame.to_dict("records")]
 
 
 class VerificationReport(msgspec.Struct):
-    """What came of a verification, as the release says it: text in it is to be shown, never to be followed."""
+    """Result of a verification. Its texts come from the release: show them, but do not trust them."""
 
     verdict: str
-    """One line."""
+    """Summary in one line."""
     problems: list[Problem]
     digest: str
-    """Of the artefact; empty if it has none."""
+    """Digest of the artefact; empty if it has none."""
     content: str
-    """Content digest of the release; empty if it was not come to."""
+    """Content digest of the release; empty if this check was not reached."""
     checks: list[Check]
     replayed: list[Table] = []
-    """Of the replay."""
+    """Tables of the replay."""
 
     @property
     def good(self) -> bool:
-        """Whether nothing is wrong."""
+        """Whether there is no problem."""
         return not self.problems
 
     def tables(self) -> list[Table]:
-        """What was checked, what is wrong file by file, and what the replay gave."""
+        """Tables of all checks, of the problems by file, and of the replay."""
         checks = titled_table("what was checked", ("check", "outcome"))
         for check in self.checks:
             colour = {None: "dim", True: "green", False: "red"}[check.good]
@@ -90,7 +90,7 @@ class VerificationReport(msgspec.Struct):
 
 
 def verdict_of(checks: list[Check], problems: list[Problem], count: int) -> str:
-    """The report in one line."""
+    """Summarise the report in one line."""
     if problems:
         files = Counter(problem.file for problem in problems)
         first = problems[0]

@@ -1,4 +1,4 @@
-"""All checks of a release in their order: each is done only if what it rests on is sound."""
+"""Run all checks of a release in their order. A check runs only if those on which it depends passed."""
 
 import math
 from collections.abc import Callable
@@ -18,32 +18,32 @@ from gym_open.formats.releases.layout import SIGNATURE, belongs
 from gym_open.formats.releases.reader import Release
 
 CACHED_GROUPS = 4
-"""Row groups whose pictures stay in memory: episodes are read one after the other."""
+"""Number of row groups whose images stay in memory. Episodes are read one after the other."""
 
 
 def verify_release(
     root: Path, *, replay: bool = True, tolerance: float = 1e-3, key: Path | None = None
 ) -> VerificationReport:
-    """Check a release: bytes, structure, frames, statistics, digests, readers, signature, and by playing it again.
+    """Check bytes, signature, structure, documents, frames and readers of a release, and replay it.
 
     Args:
-        root: folder of the release, which may be anybody's.
-        replay: simulate it again, too.
-        tolerance: how far a number (m, m/s, rad/s, N s) may be off before a window has diverged.
-        key: PEM file of the public key that must have signed it.
+        root: folder of the release, which may be hostile.
+        replay: also simulate it again.
+        tolerance: largest difference of a number (m, m/s, rad/s, N s) at which a window has not diverged.
+        key: PEM file of the public key that must have signed the release.
 
     Raises:
-        UsageError: if the tolerance is no number from 0 on, there is no folder, or the key is none.
+        UsageError: if the tolerance is no number from 0 on, there is no such folder, or the key is not valid.
     """
     if not 0 <= tolerance < math.inf:
         raise UsageError(f"--tolerance: expected 0 or more, got {tolerance}")
     if not root.is_dir():
-        raise UsageError(f"{root}: no such folder; give that of a release")
+        raise UsageError(f"{root}: no such folder; give the folder of a release")
     return _Verification(root, key).run(replay, tolerance)
 
 
 class _Verification:
-    """What was found so far."""
+    """A verification and its findings so far."""
 
     def __init__(self, root: Path, key: Path | None) -> None:
         self._root, self._key = root, key
@@ -54,10 +54,10 @@ class _Verification:
         self._release: Release | None = None
 
     def run(self, replay: bool, tolerance: float) -> VerificationReport:
-        """Do all checks."""
+        """Run all checks."""
         report = VerificationReport("", [], "", "", self._checks)
         sound = self._check("bytes", self._bytes)
-        self._check("signature", self._signature, needs=sound)  # nothing rests on it, nor on the documents
+        self._check("signature", self._signature, needs=sound)  # no later check depends on it
         sound = self._check("structure", self._structure, needs=sound)
         documents = self._check("documents", self._documents, needs=sound)
         sound = self._check("frames", self._frames, needs=sound)
@@ -80,20 +80,20 @@ class _Verification:
         return report
 
     def _check(self, name: str, work: Callable[[], str], *, needs: bool = True) -> bool:
-        """Do one check, unless what it rests on is unsound; whether all is well. What it raises is a problem, too."""
+        """Run one check, unless one that it needs failed. Return whether it passed. An exception is a problem too."""
         if not needs:
-            self._checks.append(Check(name, f"{NOT_CHECKED}: what comes before it is not sound", None))
+            self._checks.append(Check(name, f"{NOT_CHECKED}: an earlier check failed", None))
             return False
         before = self._findings.count
         try:
             with extras.Named():
                 outcome = work()
-        except UsageError:  # of a key, of what is not installed: the caller's
+        except UsageError:  # about a key or a missing package: for the caller
             raise
         except GymOpenError as error:
             self._findings.add(self._place(str(error)), str(error))
             outcome = ""
-        except Exception as error:  # what a hostile release makes libraries raise is not to be listed
+        except Exception as error:  # a hostile release can make libraries raise anything
             self._findings.add(".", f"{name} cannot be checked: {type(error).__name__}: {error}"[:500])
             outcome = ""
         found = self._findings.count - before
@@ -101,7 +101,7 @@ class _Verification:
         return not found
 
     def _place(self, error: str) -> str:
-        """The file of the release that an error names, if it does."""
+        """The file in the release that an error names, or `.`."""
         prefix = f"{self._root}/"
         return error.removeprefix(prefix).split(":")[0] if error.startswith(prefix) else "."
 
@@ -114,7 +114,7 @@ class _Verification:
             self._findings.add(artefacts.LINEAGE, f"an artefact of kind {kind!r}, expected 'release'")
         for name in sorted(manifest):
             if not belongs(name) or name == SIGNATURE:
-                self._findings.add(name, "no release of this format has such a file; do not use this one")
+                self._findings.add(name, "no release of this format has such a file; do not use this release")
         self._names = set(manifest)
         return f"{len(manifest):,} files, {sum(entry.bytes for entry in manifest.values()):,} bytes as in the manifest"
 
@@ -141,7 +141,7 @@ class _Verification:
     def _frames(self) -> str:
         assert self._release is not None
         self._content = check_contents(self._release, self._findings)
-        return "statistics and content digests are those of the frames"
+        return "statistics and content digests follow from the frames"
 
     def _texts(self) -> str:
         assert self._release is not None

@@ -1,4 +1,4 @@
-"""Whether the tables of a release agree with its episodes and with one another."""
+"""Check that the tables of a release agree with its episodes and with each other."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +22,7 @@ _SHOWN = 3
 
 
 def check_tables(release: Release, findings: Findings) -> None:
-    """All six tables."""
+    """Check all six tables."""
     _check_streams(release, findings)
     _check_worlds(release, findings)
     _check_switches(release, findings)
@@ -35,7 +35,7 @@ def puzzles_of(release: Release) -> dict[tuple[int, int], Puzzle]:
     """The puzzle of every stream and world.
 
     Raises:
-        GymOpenError: if one is no puzzle.
+        GymOpenError: if one of them is no puzzle.
     """
     worlds = release.table("worlds")
     places = zip(worlds["stream"].tolist(), worlds["world"].tolist(), worlds["json"].tolist(), strict=True)
@@ -43,7 +43,7 @@ def puzzles_of(release: Release) -> dict[tuple[int, int], Puzzle]:
 
 
 def _tell(findings: Findings, file: str, rows: "pd.DataFrame", keys: list[str], what: str) -> None:
-    """Note rows of a table that are wrong."""
+    """Record wrong rows of a table."""
     for row in rows_of(rows[keys].head(_SHOWN)):
         findings.add(file, f"{', '.join(f'{key} {value}' for key, value in row.items())}: {what}")
 
@@ -51,12 +51,12 @@ def _tell(findings: Findings, file: str, rows: "pd.DataFrame", keys: list[str], 
 def _check_streams(release: Release, findings: Findings) -> None:
     streams, episodes = release.table("streams"), release.episodes
     numbers = streams["stream"].to_numpy()
-    findings.expect(len(set(numbers.tolist())) == len(numbers), STREAMS, "a stream is there twice")
+    findings.expect(len(set(numbers.tolist())) == len(numbers), STREAMS, "a stream occurs twice")
     for row in rows_of(streams):
         try:
             msgspec.json.decode(row["config"], type=dict[str, Any])
         except (msgspec.DecodeError, RecursionError):
-            findings.add(STREAMS, f"stream {row['stream']}: its configuration is no JSON")
+            findings.add(STREAMS, f"stream {row['stream']}: its configuration is not JSON")
     joined = episodes.merge(streams[["stream", "explorer", "steps"]], on="stream", how="left", suffixes=("", "_all"))
     _tell(findings, STREAMS, joined[joined["steps_all"].isna()], ["stream", "episode_index"], "no such stream")
     there = joined[joined["steps_all"].notna()]
@@ -66,7 +66,7 @@ def _check_streams(release: Release, findings: Findings) -> None:
 
 def _check_worlds(release: Release, findings: Findings) -> None:
     worlds, episodes = release.table("worlds"), release.episodes
-    findings.expect(not worlds.duplicated(["stream", "world"]).any(), WORLDS, "a world is there twice")
+    findings.expect(not worlds.duplicated(["stream", "world"]).any(), WORLDS, "a world occurs twice")
     reserved = reserved_digests()
     for row in rows_of(worlds):
         where = f"stream {row['stream']}, world {row['world']}"
@@ -75,12 +75,12 @@ def _check_worlds(release: Release, findings: Findings) -> None:
         except (GymOpenError, RecursionError) as error:
             findings.add(WORLDS, f"{where}: {error}"[:300])
             continue
-        findings.expect(puzzle.to_json().decode() == row["json"], WORLDS, f"{where}: its JSON is not written as ours")
+        findings.expect(puzzle.to_json().decode() == row["json"], WORLDS, f"{where}: its JSON is not in canonical form")
         findings.expect(
-            puzzle.digest == row["puzzle"], WORLDS, f"{where}: its JSON is not of the layout {row['puzzle']}"
+            puzzle.digest == row["puzzle"], WORLDS, f"{where}: its JSON is not that of the layout {row['puzzle']}"
         )
-        findings.expect(puzzle.task == "sandbox", WORLDS, f"{where}: a puzzle of a task; releases are of play")
-        findings.expect(puzzle.digest not in reserved, WORLDS, f"{where}: the layout of an evaluation puzzle")
+        findings.expect(puzzle.task == "sandbox", WORLDS, f"{where}: a puzzle of a task, not the sandbox")
+        findings.expect(puzzle.digest not in reserved, WORLDS, f"{where}: it is the layout of an evaluation puzzle")
     keys = ["stream", "world"]
     joined = episodes.merge(worlds, on=keys, how="left", suffixes=("", "_of_world"), indicator="found")
     missing = joined["found"] != "both"
@@ -90,7 +90,7 @@ def _check_worlds(release: Release, findings: Findings) -> None:
 
 
 def _check_switches(release: Release, findings: Findings) -> None:
-    """Segments begin and end at switches."""
+    """Check that segments begin and end at switches."""
     switches = release.table("switches")
     episodes = release.episodes
     steps = release.table("streams").set_index("stream")["steps"].to_dict()
@@ -111,20 +111,20 @@ def _check_switches(release: Release, findings: Findings) -> None:
 
 
 def _check_segments(release: Release, findings: Findings) -> None:
-    """Each is what its episodes make of it: a release may be of chosen episodes."""
+    """Check that each segment follows from its episodes, which may be a selection."""
     keys = ["stream", "segment"]
     found = release.table("segments")
-    findings.expect(not found.duplicated(keys).any(), SEGMENTS, "a segment is there twice")
+    findings.expect(not found.duplicated(keys).any(), SEGMENTS, "a segment occurs twice")
     groups = release.episodes.sort_values([*keys, "piece"]).groupby(keys)
     expected = groups.first()[["world", "puzzle", "first_step", "continued"]].assign(
         steps=groups["steps"].sum(), ended=groups["ended"].last()
     )
     joined = expected.reset_index().merge(found, on=keys, how="outer", suffixes=("", "_found"), indicator="there")
     both = joined["there"] == "both"
-    _tell(findings, SEGMENTS, joined[~both], keys, "is not there, or has no episode")
+    _tell(findings, SEGMENTS, joined[~both], keys, "is missing, or has no episode")
     names = ("world", "puzzle", "first_step", "continued", "steps", "ended")
     same = np.all([joined[name] == joined[f"{name}_found"] for name in names], axis=0)
-    _tell(findings, SEGMENTS, joined[both & ~same], keys, "is not what its episodes say")
+    _tell(findings, SEGMENTS, joined[both & ~same], keys, "does not follow from its episodes")
 
 
 def _check_keyframes(release: Release, findings: Findings) -> None:
@@ -133,8 +133,8 @@ def _check_keyframes(release: Release, findings: Findings) -> None:
     _tell(findings, KEYFRAMES, frames[~known], ["stream", "segment", "episode_index"], "no such episode")
     frames = frames[known]
     rows = episodes.loc[frames["episode_index"]].reset_index()
-    findings.expect(not frames.duplicated(["episode_index", "frame_index"]).any(), KEYFRAMES, "one is there twice")
-    before = frames["segment_step"].to_numpy() - frames["frame_index"].to_numpy()  # steps of the segment before it
+    findings.expect(not frames.duplicated(["episode_index", "frame_index"]).any(), KEYFRAMES, "a keyframe occurs twice")
+    before = frames["segment_step"].to_numpy() - frames["frame_index"].to_numpy()  # segment steps before it
     begins = rows["first_step"] - before  # the same for all of a segment
     good = (
         (frames["stream"].to_numpy() == rows["stream"].to_numpy())
@@ -144,19 +144,20 @@ def _check_keyframes(release: Release, findings: Findings) -> None:
         & ((rows["piece"].to_numpy() > 0) | (before == 0))
         & (begins == begins.groupby([rows["stream"], rows["segment"]]).transform("first")).to_numpy()
     )
-    _tell(findings, KEYFRAMES, frames[~good], ["episode_index", "frame_index"], "is not of that episode and frame")
+    _tell(findings, KEYFRAMES, frames[~good], ["episode_index", "frame_index"], "does not fit that episode and frame")
     begun = frames.loc[frames["frame_index"] == 0, "episode_index"]
     lacking = release.episodes[(release.episodes["piece"] == 0) & ~release.episodes["episode_index"].isin(begun)]
-    _tell(findings, KEYFRAMES, lacking, ["episode_index"], "begins a segment, and there is no state of its beginning")
+    _tell(findings, KEYFRAMES, lacking, ["episode_index"], "begins a segment, but its first frame has no stored state")
     _check_distances(release, findings)
     finite = frames["integration_state"].map(lambda state: bool(np.isfinite(state).all()))
     _tell(findings, KEYFRAMES, frames[~finite.astype(bool)], ["episode_index", "frame_index"], "is not finite")
 
 
 def _check_distances(release: Release, findings: Findings) -> None:
-    """Within consecutive pieces of a segment, states stand as close as the stream's configuration says.
+    """Check that keyframes in consecutive pieces of a segment are as close as the stream's configuration says.
 
-    A log has one at the segment's beginning and after every so many steps. Chosen episodes may begin anywhere between.
+    A log has a keyframe at the start of a segment and after a fixed number of steps. Selected episodes may begin
+    anywhere in between.
     """
     streams = release.table("streams")
     distances = dict(zip(streams["stream"], map(_keyframe_distance, streams["config"]), strict=True))
@@ -165,7 +166,7 @@ def _check_distances(release: Release, findings: Findings) -> None:
     states = dict(list(frames.groupby("episode_index")["frame_index"]))
     last: dict[str, Any] = {}
     since = 0
-    """Steps since the last state, or where there was none yet, since the run began, and one."""
+    """Steps since the last keyframe; before the first one, steps since the first piece, plus one."""
     for row in rows_of(rows):
         most = distances.get(row["stream"])
         if not last or any(row[key] != last[key] + (key == "piece") for key in ("stream", "segment", "piece")):
@@ -177,11 +178,11 @@ def _check_distances(release: Release, findings: Findings) -> None:
         since += row["steps"] - at
         if most is not None and max(*gaps, since, 0) > most:
             what = f"episode {row['episode_index']}: more than {most} steps without a state"
-            findings.add(KEYFRAMES, f"{what}, which its stream's configuration says is the most")
+            findings.add(KEYFRAMES, f"{what}, the largest distance in its stream's configuration")
 
 
 def _keyframe_distance(config: str) -> int | None:
-    """Steps between two states in a log with this configuration, if it says so."""
+    """Number of steps between keyframes in a log with this configuration, if the configuration gives it."""
     try:
         said = msgspec.json.decode(config, type=dict[str, Any]).get("log")
     except (msgspec.DecodeError, RecursionError):
@@ -194,10 +195,10 @@ def _check_content(release: Release, findings: Findings) -> None:
     content = release.table("content")
     findings.expect(
         content["episode_index"].tolist() == list(range(len(release.episodes))), CONTENT,
-        "there is not one row an episode, in their order",
+        "there is not one row per episode, in their order",
     )  # fmt: skip
     for name in release.info["features"]:
         if name not in BOOKKEEPING:
             findings.expect(
-                bool(content[name].str.fullmatch(r"[0-9a-f]{64}").all()), CONTENT, f"column {name}: not of SHA-256"
+                bool(content[name].str.fullmatch(r"[0-9a-f]{64}").all()), CONTENT, f"column {name}: not SHA-256"
             )

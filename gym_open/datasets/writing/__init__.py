@@ -1,1 +1,1 @@
-"""Episodes, of logs or of releases, become the files of a release."""
+"""Write the files of a release from episodes of logs or of other releases."""

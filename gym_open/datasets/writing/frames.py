@@ -1,11 +1,11 @@
-"""A segment of a log, or a piece of one, as the frames of a LeRobot episode.
+"""The frames of a LeRobot episode, from a segment of a log or a piece of one.
 
     observation   o_0   o_1   …   o_T-1   o_T
     action        a_0   a_1   …   a_T-1    –      T actions, T + 1 frames
-    valid          ✓     ✓    …    ✓       ✗      the last frame carries the final observation alone
+    valid          ✓     ✓    …    ✓       ✗      the last frame holds only the final observation
     truncated      –     –    …    ✓       ✓      nothing comes after it in this episode
 
-Of a segment longer than the cap, each piece is an episode; the observation at a cut ends one and begins the next.
+A segment longer than the cap becomes several episodes. The observation at a cut ends one episode and begins the next.
 """
 
 from collections.abc import Sequence
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
     from gym_open.formats.logs.schemas import Segment
 
 LENGTH_CAP = "length_cap"
-"""`ended` of an episode that was cut for its length; the next episode goes on from its last observation."""
+"""`ended` of an episode that was cut for its length. The next episode begins with its last observation."""
 NO_ACTION = -1
 """`action.index` of the frame after the last action."""
 
 
 def numbers(segment: "Segment", parts: Sequence[str] = ()) -> dict[str, np.ndarray]:
-    """Every feature but the picture and the bookkeeping, steps + 1 rows each, by the names of `features.features`.
+    """All features except image and bookkeeping, with steps + 1 rows each, by their names in `features.features`.
 
     Args:
-        segment: what becomes an episode.
-        parts: names of the release's parts of the reward: those that the log has not are NaN.
+        segment: a segment, or a piece of one.
+        parts: names of the parts of the reward in the release. Parts that the log lacks are NaN.
     """
     steps, contacts = len(segment.actions), segment.contacts
     state = segment.object_state.astype(np.float32)
@@ -52,7 +52,7 @@ def numbers(segment: "Segment", parts: Sequence[str] = ()) -> dict[str, np.ndarr
         "contact.count": _padded(np.array([len(step) for step in contacts]), np.int64),
         "contact.agent": _padded(np.array([sum("agent" in (c.a, c.b) for c in step) for step in contacts]), np.int64),
         "contact.impulse": _padded(np.array([sum(c.impulse for c in step) for step in contacts]), np.float32),
-        "next.reward": np.zeros(steps + 1, dtype=np.float32),  # play has no task: there is no extrinsic reward
+        "next.reward": np.zeros(steps + 1, dtype=np.float32),  # exploration has no task, so no extrinsic reward
         "next.done": np.zeros(steps + 1, dtype=bool),
         "next.truncated": row >= steps - 1,
         "transition.valid": row < steps,
@@ -66,10 +66,10 @@ def _padded(values: np.ndarray, dtype: type, fill: float = 0) -> np.ndarray:
 
 
 def _nothing(losses: np.ndarray) -> float:
-    """What stands where there was no action: 0, or of an explorer without a model, what stands everywhere."""
+    """The loss on the last frame: 0, or NaN as everywhere if the explorer has no world model."""
     return float("nan") if np.isnan(losses).all() and losses.size else 0.0
 
 
 def _part(values: np.ndarray | None, steps: int) -> np.ndarray:
-    """NaN where there was no action, or no such part."""
+    """A part of the reward; NaN on the last frame, or everywhere if there is no such part."""
     return _padded(np.full(steps, np.nan) if values is None else values, np.float32, float("nan"))

@@ -1,6 +1,6 @@
-"""Writes LeRobot v3.0 files with pyarrow: data files, tasks, info.
+"""Write LeRobot v3.0 files with pyarrow: data files, tasks, info.
 
-LeRobot's own writer does some 500 frames/s and its bytes change from run to run; its reader is the judge of these.
+LeRobot's own writer reaches about 500 frames/s, and its bytes change from run to run. Its reader checks these files.
 """
 
 from collections.abc import Mapping
@@ -24,13 +24,13 @@ from gym_open.formats.releases.layout import (
 )
 
 GROUP_ROWS = 1000
-"""A row group is closed at this many frames: small enough to read one for a single frame, large enough to compress."""
+"""Frames at which a row group ends: few enough to read one for a single frame, enough to compress well."""
 TASK = "explore the sandbox: no task, no reward"
-"""LeRobot wants a sentence for the task; play has none."""
+"""LeRobot needs a sentence for the task; exploration has none."""
 
 
 def parquet_writer(path: Path, columns: pa.Schema) -> pq.ParquetWriter:
-    """A writer of `path`, in a folder that is made: Snappy, since a later Rerun silently loads no episode from zstd."""
+    """Open a writer of `path` and create its folder. It uses Snappy: Rerun silently loads no episode from zstd."""
     path.parent.mkdir(parents=True, exist_ok=True)
     return pq.ParquetWriter(path, columns, compression="snappy", use_dictionary=False)
 
@@ -48,7 +48,7 @@ def write_json(value: Any, path: Path) -> None:
 
 
 def frames_batch(described: Features, values: Mapping[str, np.ndarray], pngs: list[bytes] | None) -> pa.RecordBatch:
-    """Frames of one episode as Arrow: `values` has every feature but the picture, `pngs` is None if that is video."""
+    """Frames of one episode in Arrow. `values` has all features except the image; `pngs` is None for video."""
     columns: list[pa.Array] = []
     fields = schema(described)
     for field in fields:
@@ -65,19 +65,19 @@ def frames_batch(described: Features, values: Mapping[str, np.ndarray], pngs: li
 
 
 class DataFile:
-    """A data file that grows. Closing writes the footer: without it a parquet file is lost."""
+    """A data file that grows. Closing writes the footer, without which a parquet file is unreadable."""
 
     def __init__(self, path: Path, described: Features) -> None:
         self.path = path
         self.bytes = 0
-        """In memory, of what was added."""
+        """Size in memory of the added episodes."""
         self.frames = 0
         self._schema = schema(described)
         self._waiting: list[pa.RecordBatch] = []
         self._writer = parquet_writer(path, self._schema)
 
     def add(self, batch: pa.RecordBatch) -> None:
-        """Add one episode; a row group holds whole episodes."""
+        """Add one episode. A row group holds whole episodes."""
         self._waiting.append(batch)
         self.bytes += batch.nbytes
         self.frames += len(batch)
@@ -97,7 +97,7 @@ class DataFile:
 
 
 def write_tasks(folder: Path) -> None:
-    """Write `meta/tasks.parquet`: a pandas frame whose index is the sentence, as LeRobot looks it up."""
+    """Write `meta/tasks.parquet`: a pandas frame whose index is the sentence, by which LeRobot finds the task."""
     import pandas as pd
 
     table = pa.Table.from_pandas(pd.DataFrame({"task_index": [0]}, index=pd.Index([TASK])))
@@ -108,7 +108,7 @@ def write_info(
     folder: Path, described: Features, *, episodes: int, frames: int, splits: Mapping[str, str], data_file_mb: int,
     ours: Mapping[str, Any],
 ) -> None:  # fmt: skip
-    """Write `meta/info.json`; `ours` goes under the key `gym_open`, which LeRobot ignores."""
+    """Write `meta/info.json`. `ours` goes under the key `gym_open`, which LeRobot ignores."""
     info = {
         "codebase_version": CODEBASE_VERSION,
         "robot_type": "gym-open",

@@ -1,6 +1,6 @@
-"""Records of a whole release, made anew from its tables whenever a batch is added: statistics, digests, info.
+"""Write the records of a whole release: statistics, digests, info. They are written again for every batch.
 
-No frame is read for them: `meta/episodes` has the statistics of each episode, `meta/content` the digests.
+They need no frames: `meta/episodes` has the statistics of each episode, and `meta/content` the digests.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -31,7 +31,7 @@ from gym_open.formats.releases.layout import (
 from gym_open.formats.releases.schemas import STATISTICS, STATS, content_features
 
 _ROWS = 128
-"""Episodes whose statistics are in memory as Python objects at a time: some 75 kB each."""
+"""Number of episodes whose statistics are Python objects at the same time: about 75 kB each."""
 
 
 def write_meta(
@@ -40,11 +40,11 @@ def write_meta(
     """Write `meta/{tasks.parquet,stats.json,digests.json,info.json}` from the other files in `folder`.
 
     Args:
-        folder: of the release, with all batches of data and tables in it.
+        folder: folder of the release, with all batches of data and tables.
         described: of `features.features`.
         header: name, version, licence, date.
-        ours: what else goes under `gym_open` into `info.json`.
-        data_file_mb: size at which data files were closed.
+        ours: other values for the key `gym_open` of `info.json`.
+        data_file_mb: size at which data files end.
 
     Returns:
         Facts: frames, episodes, steps, and the release's content digest.
@@ -116,7 +116,7 @@ def _tables(folder: Path, pattern: str) -> dict[str, pa.Table]:
 
 
 def _files(episodes: pa.Table, name: Callable[[int, int], str]) -> Iterator[tuple[str, slice]]:
-    """Every data file, and the episodes in it."""
+    """Every data file, with the slice of its episodes."""
     places = zip(episodes["data/chunk_index"].to_pylist(), episodes["data/file_index"].to_pylist(), strict=True)
     first = 0
     for place, group in groupby(places):
@@ -126,7 +126,7 @@ def _files(episodes: pa.Table, name: Callable[[int, int], str]) -> Iterator[tupl
 
 
 def _video_error(episodes: pa.Table) -> dict[str, float | None]:
-    """Of all pixels against the logged ones: mean and greatest difference in levels of 255; PSNR in dB, if finite."""
+    """Mean and largest difference of all pixels from the logged ones, in levels of 255; PSNR in dB if finite."""
     import numpy as np
 
     weights = episodes["length"].to_numpy() / episodes["length"].to_numpy().sum()

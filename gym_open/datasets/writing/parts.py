@@ -1,7 +1,7 @@
-"""What `meta/` will say of a data file's episodes, kept in the scratch folder until all of a batch is written.
+"""Rows for `meta/` about the episodes of a data file, in the scratch folder until the whole batch is written.
 
-checkpoint/parts/train-000.{episodes,keyframes}.parquet    of train's first data file
-checkpoint/parts/train-000.json                            written last, when that file is whole
+checkpoint/parts/train-000.{episodes,keyframes}.parquet    for the first data file of train
+checkpoint/parts/train-000.json                            written last, when the data file is whole
 """
 
 import os
@@ -18,16 +18,16 @@ from gym_open.datasets.writing.lerobot_files import parquet_writer
 from gym_open.files import sha256_file, write_atomically
 
 _GROUP_ROWS = 128
-"""Episodes in memory as Python objects at a time: some 75 kB each."""
+"""Number of episodes that are Python objects at the same time: about 75 kB each."""
 
 
 class Mark(msgspec.Struct, frozen=True):
-    """A data file is whole, and so are the rows about it."""
+    """Mark that a data file and the rows about it are whole."""
 
     episodes: int
     frames: int
     files: dict[str, str]
-    """SHA-256 of the data file, and of the video beside it, by name below the release's folder."""
+    """SHA-256 of the data file and of its video, by path in the release."""
 
 
 class Part:
@@ -44,7 +44,7 @@ class Part:
         return self._base.with_name(f"{self._base.name}.{table}.parquet")
 
     def begin(self, columns: Mapping[str, pa.Schema]) -> None:
-        """Begin anew, with these columns of each table."""
+        """Begin with empty tables of these columns."""
         self._rows = {table: [] for table in columns}
         self._writers = {table: parquet_writer(self.path(table), schema) for table, schema in columns.items()}
 
@@ -55,7 +55,7 @@ class Part:
             self._flush(table)
 
     def finish(self, episodes: int, frames: int, files: Sequence[str]) -> None:
-        """Put on disk what was added, then the mark that it and `files` are whole."""
+        """Write all rows to disk, then the mark that they and `files` are whole."""
         for table, writer in self._writers.items():
             self._flush(table)
             writer.close()
@@ -66,7 +66,7 @@ class Part:
         write_atomically(self._base.with_suffix(".json"), canonical_json(Mark(episodes, frames, hashes)))
 
     def mark(self) -> Mark | None:
-        """The mark, if there is one and the files are those that it was made for."""
+        """The mark, if there is one and it fits the files."""
         try:
             mark = msgspec.json.decode(self._base.with_suffix(".json").read_bytes(), type=Mark)
             whole = all(sha256_file(self._folder / name) == digest for name, digest in mark.files.items())
@@ -82,9 +82,9 @@ class Part:
 
 
 def join(paths: Sequence[Path], out: Path, columns: pa.Schema, prefix: str = "") -> None:
-    """Write `out` with the rows of all `paths`, in their order: the `columns`, called so with `prefix` before it there.
+    """Write `columns` of the rows of all `paths`, in order, to `out`. In `paths`, names may begin with `prefix`.
 
-    A row group at a time, so that memory does not grow with the number of rows.
+    It reads one row group at a time, so that memory does not grow with the number of rows.
     """
     with parquet_writer(out, columns) as writer:
         for path in paths:

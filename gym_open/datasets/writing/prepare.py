@@ -1,4 +1,4 @@
-"""What threads make of an episode before it is written: coded pictures, statistics, digests."""
+"""Prepare an episode for writing, in threads: encoded images, statistics, digests."""
 
 from typing import Any
 
@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 
 from gym_open.datasets.writing.sources import SourceEpisode
-from gym_open.datasets.writing.statistics import Stats, feature_stats, picture_stats
+from gym_open.datasets.writing.statistics import Stats, feature_stats, image_stats
 from gym_open.datasets.writing.video import decode_clip, encode_clip, pixel_error
 from gym_open.errors import ArtefactError
 from gym_open.formats.pngs import decode_untrusted, encode_pngs
@@ -16,22 +16,22 @@ from gym_open.formats.releases.schemas import PIXEL_ERROR
 
 
 class Prepared(msgspec.Struct, frozen=True, eq=False):
-    """An episode that is ready to be written."""
+    """An episode that is ready for writing."""
 
     episode: SourceEpisode
-    """Without pictures."""
+    """The episode without its images."""
     frames: int
     stats: dict[str, Stats]
     content: dict[str, str]
     pngs: list[bytes] | None = None
     clip: bytes | None = None
-    """An mp4; of `pngs` and this, one is there."""
+    """The images as mp4. Either this or `pngs` is given."""
     measured: dict[str, Any] = {}
-    """Columns of `meta/episodes` that come from coding it."""
+    """Columns of `meta/episodes` about the error of encoding."""
 
 
 def prepare(episode: SourceEpisode, *, video: bool = False) -> Prepared:
-    """Code, count and hash an episode; PNG files that it brings are taken over as they are."""
+    """Encode an episode and compute its statistics and digests. Existing PNG files are copied unchanged."""
     images = episode.images
     if images is None:
         assert episode.pngs is not None
@@ -48,7 +48,7 @@ def prepare(episode: SourceEpisode, *, video: bool = False) -> Prepared:
     return Prepared(
         episode=msgspec.structs.replace(episode, images=None, pngs=None),
         frames=len(images),
-        stats=stats | {IMAGE: picture_stats(images)},
+        stats=stats | {IMAGE: image_stats(images)},
         content=content | {IMAGE: feature_digest(images)},
         pngs=pngs,
         clip=clip,
@@ -60,4 +60,4 @@ def _decoded(png: bytes) -> np.ndarray:
     try:
         return decode_untrusted(png)
     except ValueError as error:
-        raise ArtefactError(f"a picture of a release: {error}; see which with `gym-open dataset verify`") from None
+        raise ArtefactError(f"an image of a release: {error}; find it with `gym-open dataset verify`") from None

@@ -1,4 +1,4 @@
-"""Whether two streams are the same play: a log that goes on from another's steps, or the same run under two names."""
+"""Find streams that repeat each other: a log that continues another one, or the same run under two names."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -11,20 +11,20 @@ from gym_open.errors import UsageError
 from gym_open.formats.releases import Release
 
 _STEPS = 256
-"""Steps at the beginning of each stream that are compared."""
+"""Number of steps at the beginning of each stream that are compared."""
 
 
 class _Beginning(NamedTuple):
-    """How a stream begins."""
+    """The beginning of a stream."""
 
     where: Path
     actions: np.ndarray
     """(T,) int64, T ≤ 256."""
     states: np.ndarray
-    """(T + 1, D) float32: of all objects."""
+    """(T + 1, D) float32: states of all objects."""
 
     def is_of(self, other: "_Beginning") -> bool:
-        """Whether the shorter one is the beginning of the other."""
+        """Whether one of the two is the beginning of the other."""
         steps = min(len(self.actions), len(other.actions))
         return np.array_equal(self.actions[:steps], other.actions[:steps]) and np.array_equal(
             self.states[: steps + 1], other.states[: steps + 1]
@@ -32,11 +32,11 @@ class _Beginning(NamedTuple):
 
 
 def check_distinct(streams: Sequence[SourceStream], after: Release | None) -> None:
-    """Raises UsageError if two streams of one explorer begin with the same steps: their episodes would be there twice.
+    """Raise UsageError if two streams of one explorer begin with the same steps, so that episodes would occur twice.
 
     Args:
-        streams: streams that will be in a release.
-        after: the release that they are appended to.
+        streams: streams for a release.
+        after: the release to which they are appended.
     """
     known: dict[tuple[str, str], list[_Beginning]] = {}
     for key, beginning in _of_release(after) if after else ():
@@ -52,7 +52,7 @@ def check_distinct(streams: Sequence[SourceStream], after: Release | None) -> No
             if beginning.is_of(other):
                 raise UsageError(
                     f"{stream.log.path}: begins with the same steps as {other.where}, by the same explorer; its "
-                    "episodes would be there twice: give only the longer of the two"
+                    "episodes would occur twice: give only the longer of the two"
                 )
         same.append(beginning)
 

@@ -1,4 +1,4 @@
-"""Episodes of a release to be: cut from logs, or taken from a release that there is."""
+"""Sources of a new release: episodes that are cut from logs, or read from other releases."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
 
 HELD = "logs"
-"""In a release's lineage, the fact that lists the digests of the logs whose play it holds, in their order."""
+"""Fact in the lineage of a release: digests of the logs whose steps it holds, in their order."""
 
 
 class KeyframeAt(NamedTuple):
-    """A state of the simulation within an episode."""
+    """A keyframe: a state of the simulation within an episode."""
 
     segment_step: int
     frame_index: int
@@ -39,35 +39,35 @@ class KeyframeAt(NamedTuple):
 
 
 class SourceEpisode(msgspec.Struct, frozen=True, eq=False):
-    """T actions in T + 1 frames, wherever in a release they will stand."""
+    """An episode for a release: T actions in T + 1 frames."""
 
     numbers: dict[str, np.ndarray]
-    """Every feature but the picture and the bookkeeping, T + 1 rows each."""
+    """All features except image and bookkeeping, with T + 1 rows each."""
     row: dict[str, Any]
     """The columns `EPISODE_ROW` of `meta/episodes`."""
     keyframes: list[KeyframeAt]
     images: np.ndarray | None = None
-    """(T + 1, 84, 84, 3) uint8 RGB; need not be there if `pngs` is."""
+    """(T + 1, 84, 84, 3) uint8 RGB; may be missing if `pngs` is given."""
     pngs: list[bytes] | None = None
-    """PNG files that are taken over as they are."""
+    """PNG files that are copied unchanged."""
 
 
 class SourceStream(NamedTuple):
-    """A stream of a log, and what it is called in the release."""
+    """A stream of a log, with its number in the release."""
 
     log: "Log"
     stream: int
     """Number in the release."""
     parent: int
-    """Number of its log artefact, as they were given."""
+    """Number of its log artefact, in the order in which they were given."""
     explorer: str
 
 
 def streams_of(logs: Sequence[Path], first_stream: int = 0) -> list[SourceStream]:
-    """All streams of the log artefacts `logs`, numbered on from `first_stream`.
+    """Open all streams of the log artefacts `logs`, numbered from `first_stream`.
 
     Raises:
-        ArtefactError: if one is not a log, damaged, or not of play in the sandbox.
+        ArtefactError: if one of them is not a log, is damaged, or is not of exploration in the sandbox.
     """
     from gym_open.formats.logs.reader import open_logs
 
@@ -84,26 +84,26 @@ def streams_of(logs: Sequence[Path], first_stream: int = 0) -> list[SourceStream
 
 
 def held_logs(lineage: artefacts.Lineage) -> list[str]:
-    """Digests of the logs whose play a release holds, in the order in which its streams have them.
+    """Digests of the logs whose steps a release holds, in the order of its streams.
 
-    Not all logs among its ancestors are: a version before it may only have been compared with.
+    It may not hold all logs among its ancestors: a previous version may only have been compared.
     """
     facts = lineage.facts.get(HELD)
     if isinstance(facts, list):
         return [str(digest) for digest in facts]
-    return [parent.digest for parent in lineage.parents if parent.lineage.kind == "log"]  # made before it was a fact
+    return [parent.digest for parent in lineage.parents if parent.lineage.kind == "log"]  # older
 
 
 def _check_task_free(log: "Log") -> None:
-    """What a person played on test puzzles must never train an encoder."""
+    """Refuse logs of tasks: a log of a person on test puzzles must never train an encoder."""
     if tasks := {puzzle.task for puzzle in log.puzzles} - {"sandbox"}:
         raise ArtefactError(
-            f"{log.path}: holds puzzles of {', '.join(sorted(tasks))}; a release is made of play in the sandbox alone"
+            f"{log.path}: holds puzzles of {', '.join(sorted(tasks))}; a release holds only the sandbox; leave it out"
         )
 
 
 def explorer_of(config: Mapping[str, Any]) -> str:
-    """Name of the explorer in a log's configuration: `icm`, `curl+ride`, …; `unknown` if it tells of none of ours."""
+    """Name of the explorer in a log's configuration, such as `icm` or `curl+ride`; `unknown` if it is none of ours."""
     try:
         return msgspec.convert(config["explorer"], ExplorerConfig).name
     except (KeyError, msgspec.ValidationError):
@@ -113,16 +113,16 @@ def explorer_of(config: Mapping[str, Any]) -> str:
 def episodes_of_logs(
     config: ReleaseConfig, streams: Iterable[SourceStream], splits: Mapping[Unit, Split], described: Features
 ) -> Iterator[SourceEpisode]:
-    """The episodes of all streams, in the order of play, each let go before the next is read.
+    """Read the episodes of all streams in order, one at a time.
 
     Args:
-        config: says how long an episode may be.
-        streams: of `streams_of`.
-        splits: of every unit.
+        config: gives the largest length of an episode.
+        streams: from `streams_of`.
+        splits: split of every unit.
         described: features of the release.
 
     Raises:
-        ArtefactError: if a log is of another model than `described`, or damaged.
+        ArtefactError: if a log has another model than `described`, or is damaged.
     """
     parts = [name.removeprefix(PART) for name in described if name.startswith(PART)]
     for stream in streams:
@@ -130,7 +130,7 @@ def episodes_of_logs(
             if list(segment.object_names) != objects(described):
                 raise ArtefactError(
                     f"{stream.log.path}: segment {segment.index} has the objects {segment.object_names}, the release "
-                    f"{objects(described)}; logs of different models do not go into one release"
+                    f"{objects(described)}; build one release per model"
                 )
             split = splits[unit_of(config.split_by, stream.stream, segment.puzzle.digest)]
             row = _row(stream, segment, split, segment.segment_step // config.max_episode_steps)
@@ -158,11 +158,11 @@ def _row(stream: SourceStream, segment: "Segment", split: Split, piece: int) -> 
 
 
 def episodes_of_release(release: Release, numbers: Iterable[int]) -> Iterator[SourceEpisode]:
-    """Episodes of a release by their numbers, as they are: PNG files are not decoded, video is.
+    """Read episodes of a release by their numbers. PNG files are not decoded; video is.
 
     Args:
         release: an opened release.
-        numbers: of the episodes, in the order in which they are wanted; ascending is fastest.
+        numbers: numbers of the episodes; ascending order is fastest.
 
     Raises:
         ArtefactError: if frames are not where the release says, or values are missing.
@@ -197,7 +197,7 @@ def _values(column: "pa.ChunkedArray", feature: Mapping[str, Any]) -> np.ndarray
 
 
 class _FrameReader:
-    """Rows of data files; keeps the row groups read last, since neighbouring episodes are asked for together."""
+    """Reads rows of data files. It keeps the latest row groups, since neighbouring episodes are read together."""
 
     def __init__(self, release: Release) -> None:
         self._root, self._schema = release.root, schema(release.info["features"])
@@ -210,10 +210,10 @@ class _FrameReader:
         self._read: tuple[tuple[Path, int, int], pa.Table] | None = None
 
     def of_episode(self, number: int, file: tuple[int, int], first: int, stop: int) -> "pa.Table":
-        """Frames `first` to `stop` of the release, which are those of an episode, in the data file with these numbers.
+        """Read frames `first` to `stop` of the release, those of one episode, from the data file with these numbers.
 
         Raises:
-            ArtefactError: if they are not in it, or a value is missing.
+            ArtefactError: if the file does not hold them, or a value is missing.
         """
         path = self._root / data_path(*file)
         starts = self._group_starts(path) + self._first[file]
@@ -236,7 +236,7 @@ class _FrameReader:
     def _not_there(path: Path, number: int, first: int, stop: int) -> ArtefactError:
         return ArtefactError(
             f"{path}: expected the frames {first} to {stop - 1}, all of episode {number} and whole, as meta/episodes "
-            "says; the release is damaged: get it anew"
+            "says; the release is damaged: get it again"
         )
 
     def _group_starts(self, path: Path) -> np.ndarray:
@@ -249,7 +249,7 @@ class _FrameReader:
 
 
 def _missing(column: "pa.ChunkedArray") -> bool:
-    """Whether a value that must be there is null. Of pictures `path` is, in every file."""
+    """Whether a required value is null. For images, `path` is always null."""
     values = column.combine_chunks()
     if values.null_count or not values.type.num_fields:
         return values.null_count > 0

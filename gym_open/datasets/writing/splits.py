@@ -1,4 +1,4 @@
-"""Train and val share no world (or no stream): never split by step, since neighbouring frames are near copies."""
+"""Assign worlds (or streams) to train and val. Splits never go by step, since neighbouring frames are near copies."""
 
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -11,32 +11,32 @@ if TYPE_CHECKING:
     from gym_open.datasets.writing.sources import SourceStream
 
 Unit = str
-"""What is never in two splits: the digest of a layout, or the number of a stream."""
+"""A unit is never in two splits: the digest of a layout, or the number of a stream."""
 
 
 class Share(NamedTuple):
-    """How much of something there is in a split."""
+    """Number of episodes and frames."""
 
     episodes: int = 0
     frames: int = 0
 
     def plus(self, episodes: int, frames: int) -> "Share":
-        """With so much more."""
+        """The sum with more episodes and frames."""
         return Share(self.episodes + episodes, self.frames + frames)
 
 
 def unit_of(split_by: Literal["stream", "world"], stream: int, puzzle: str) -> Unit:
-    """The unit that a stream's segment in the layout `puzzle` belongs to."""
+    """The unit of a stream's segment in the layout `puzzle`."""
     return puzzle if split_by == "world" else str(stream)
 
 
 def assign(
     units: Iterable[Unit], val_fraction: float, seed: int, known: Mapping[Unit, Split] | None = None
 ) -> dict[Unit, Split]:
-    """Split of every unit: `known` ones stay where they are, new ones are drawn among themselves by the seed.
+    """Assign a split to every unit: `known` units keep theirs, and the seed draws the splits of new units.
 
-    `val_fraction` of the new ones, rounded half up, go to val; one at least of all is in train, and one in val if there
-    are two or more and `val_fraction` is not 0.
+    `val_fraction` of the new units, rounded half up, go to val. At least one of all units is in train; at least one is
+    in val if there are two or more units and `val_fraction` is not 0.
     """
     known = known or {}
     new = sorted(set(units) - set(known))
@@ -49,7 +49,7 @@ def assign(
 
 
 def units_of(config: ReleaseConfig, streams: "Iterable[SourceStream]") -> set[Unit]:
-    """All worlds that were visited, or all streams, as `config.split_by` says."""
+    """All visited worlds, or all streams, depending on `config.split_by`."""
     return {
         unit_of(config.split_by, stream.stream, stream.log.puzzles[switch.to_world].digest)
         for stream in streams
@@ -61,7 +61,7 @@ def units_of(config: ReleaseConfig, streams: "Iterable[SourceStream]") -> set[Un
 def shares_of(
     config: ReleaseConfig, streams: "Iterable[SourceStream]", splits: Mapping[Unit, Split]
 ) -> dict[Split, Share]:
-    """How many episodes and frames the streams make, told from their switches before anything else is read."""
+    """Number of episodes and frames of the streams by split. Only the switches are read for it."""
     shares: dict[Split, Share] = {split: Share() for split in SPLITS}
     for stream in streams:
         for entered, left in zip(stream.log.switches, stream.log.switches[1:], strict=False):

@@ -1,7 +1,7 @@
-"""Statistics of every feature: of an episode, and merged over episodes (LeRobot's `meta/episodes` and `stats.json`).
+"""Statistics of every feature, per episode and merged over episodes (LeRobot's `meta/episodes` and `stats.json`).
 
 Minimum, maximum, mean, standard deviation (population) and count, in float64, over the frames in which a feature is
-finite; of no such frame, 0 throughout.
+finite. Without such frames all are 0.
 """
 
 from collections.abc import Mapping
@@ -14,29 +14,29 @@ from gym_open.formats.releases.schemas import STATISTICS
 
 
 class Stats(msgspec.Struct, frozen=True, eq=False):
-    """Of one feature: arrays of its shape, or (3, 1, 1) for a picture, whose levels are scaled to [0, 1]."""
+    """Statistics of one feature: arrays of its shape, or (3, 1, 1) for images, whose levels are scaled to [0, 1]."""
 
     min: np.ndarray
     max: np.ndarray
     mean: np.ndarray
     std: np.ndarray
     count: int
-    """Frames."""
+    """Number of frames."""
 
     def plain(self) -> dict[str, Any]:
-        """As LeRobot writes it."""
+        """The form that LeRobot writes."""
         values = {name: getattr(self, name).tolist() for name in STATISTICS[:-1]}
         return {**values, "count": [self.count]}
 
 
 def read_stats(row: Mapping[str, Any]) -> Stats:
-    """What `Stats.plain` gave, read from Arrow or JSON."""
+    """Read the result of `Stats.plain` from Arrow or JSON."""
     values = {name: np.array(row[name], dtype=np.float64) for name in STATISTICS[:-1]}
     return Stats(**values, count=int(row["count"][0]))
 
 
 def feature_stats(values: np.ndarray) -> Stats:
-    """Of a feature that is a number or a vector: shape (n,) or (n, d). A vector is finite where all of it is."""
+    """Statistics of numbers (n,) or vectors (n, d). A vector is finite if all of its numbers are."""
     rows = values.reshape(len(values), -1).astype(np.float64)
     rows = rows[np.isfinite(rows).all(axis=1)]
     if not len(rows):
@@ -45,8 +45,8 @@ def feature_stats(values: np.ndarray) -> Stats:
     return Stats(rows.min(axis=0), rows.max(axis=0), rows.mean(axis=0), rows.std(axis=0), len(rows))
 
 
-def picture_stats(images: np.ndarray) -> Stats:
-    """Of pictures (n, H, W, 3) uint8, a channel: exact, from counts of each of the 256 levels."""
+def image_stats(images: np.ndarray) -> Stats:
+    """Statistics per channel of images (n, H, W, 3) uint8. They are exact, from counts of the 256 levels."""
     from PIL import Image
 
     tall = np.ascontiguousarray(images).reshape(-1, images.shape[2], 3)
@@ -63,7 +63,7 @@ def picture_stats(images: np.ndarray) -> Stats:
 
 
 class Merger:
-    """Statistics of all frames from those of the episodes, in their order.
+    """Merges the statistics of episodes, in their order, to those of all frames.
 
     By Chan's rule: M2 = M2_a + M2_b + δ² n_a n_b / (n_a + n_b) with δ = mean_b − mean_a (Chan, Golub, LeVeque 1979).
     """
@@ -72,7 +72,7 @@ class Merger:
         self._all: Stats | None = None
 
     def add(self, other: Stats) -> None:
-        """Take in the next episode's."""
+        """Add the statistics of the next episode."""
         one = self._all
         if one is None or not one.count:
             self._all = other
@@ -89,6 +89,6 @@ class Merger:
             )
 
     def result(self) -> Stats:
-        """Of all that was added, which must have been something."""
+        """The merged statistics. At least one episode must have been added."""
         assert self._all is not None
         return self._all

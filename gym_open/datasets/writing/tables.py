@@ -1,4 +1,4 @@
-"""Our tables of streams, worlds and switches, from logs; and of segments, from episodes."""
+"""Our tables: streams, worlds and switches from logs, and segments from episodes."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -17,7 +17,7 @@ from gym_open.formats.releases.schemas import table_schema
 def tables_of_logs(
     config: ReleaseConfig, streams: Iterable[SourceStream], splits: Mapping[Unit, Split], described: Features
 ) -> dict[Table, pa.Table]:
-    """What the logs say beside the frames: their configurations, their pools of puzzles, the curriculum's switches."""
+    """Tables of the logs: their configurations, their pools of puzzles, and the curriculum's switches."""
     streams = list(streams)
     rows: dict[Table, list[dict[str, Any]]] = {
         "streams": [_stream_row(stream) for stream in streams],
@@ -58,7 +58,7 @@ def _world_rows(config: ReleaseConfig, stream: SourceStream, splits: Mapping[Uni
 
 
 def segments_of_episodes(episodes: pa.Table) -> pa.Table:
-    """A row a segment, of the rows of `meta/episodes`: what of it the release holds, and how that ended."""
+    """Table with one row per segment, from the rows of `meta/episodes`: the part in the release, and how it ended."""
     frame = episodes.to_pandas().sort_values(["stream", "segment", "piece"])
     merged = frame.groupby(["stream", "segment"], as_index=False).agg(
         world=("world", "first"), puzzle=("puzzle", "first"), first_step=("first_step", "first"),

@@ -1,4 +1,4 @@
-"""One split of a batch: its data files one after the other, and what `meta/` will say of their episodes."""
+"""Write one split of a batch: its data files one after the other, and the rows for `meta/` about their episodes."""
 
 from pathlib import Path
 from typing import Any
@@ -20,32 +20,32 @@ from gym_open.formats.releases.layout import IMAGE, MAX_FILES, Split, data_path,
 from gym_open.formats.releases.schemas import STATS, content_features, episodes_schema, table_schema
 
 CONTENT = "content/"
-"""What stands before a feature's name where its digest waits in a part."""
+"""Prefix of a feature's name in a part, for the column with its digest."""
 
 
 class SplitPlace(msgspec.Struct, frozen=True):
-    """Where a split of a batch stands in the release."""
+    """Place of a split of a batch in the release."""
 
     split: Split
     share: Share
-    """What it will hold."""
+    """Number of its episodes and frames."""
     first: Share
-    """What comes before it."""
+    """Number of episodes and frames before it."""
     chunk: int
-    """Folder of its data files."""
+    """Number of the folder of its data files."""
     batch: int
 
 
 class Track:
-    """Writes a split. Data files that were finished before a kill are found, and kept."""
+    """Writes a split. It keeps the data files that were finished before a kill."""
 
     def __init__(self, folder: Path, place: SplitPlace, described: Features, limit_bytes: int) -> None:
         self.added = 0
-        """Episodes that came, in this run."""
+        """Number of episodes added in this run."""
         self.parts: list[Part] = []
-        """One for each data file that is done."""
+        """One part per finished data file."""
         self.files: list[str] = []
-        """Names of these."""
+        """Names of the finished files."""
         self._folder, self._place, self._described, self._limit = folder, place, described, limit_bytes
         self._written = Share()
         self._file: DataFile | None = None
@@ -58,7 +58,7 @@ class Track:
             self._part = self._next_part()
         self._done = self._written
         self.kept = self._written.episodes
-        """Episodes that need not be written again."""
+        """Number of episodes in finished files, which are not written again."""
 
     def write(self, made: Prepared) -> None:
         """Write the next episode."""
@@ -91,15 +91,15 @@ class Track:
         """Finish the last file.
 
         Raises:
-            ArtefactError: if other episodes came than were promised.
+            ArtefactError: if the number of episodes or frames is not the announced one.
         """
         if self._file:
             self._finish_file()
         if self._written != self._place.share:
             raise ArtefactError(
-                f"split {self._place.split}: {self._written.episodes} episodes of {self._written.frames} frames came, "
+                f"split {self._place.split}: {self._written.episodes} episodes of {self._written.frames} frames, "
                 f"expected {self._place.share.episodes} of {self._place.share.frames}: the log's switches do not fit "
-                "its steps; see it with `gym-open log info`"
+                "its steps; check it with `gym-open log info`"
             )
 
     def _episode_row(self, made: Prepared, number: int, start: int) -> dict[str, Any]:

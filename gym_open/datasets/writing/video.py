@@ -1,15 +1,15 @@
-"""Pictures as video, in LeRobot's layout: one mp4 beside each data file, its episodes one after the other.
+"""Images as video, in LeRobot's layout: one mp4 per data file, with its episodes one after the other.
 
-Measured on 4,096 frames of play (CURL's, 84×84, a group of 12 frames, preset medium), against 862 bytes of a PNG:
+Measured on 4,096 frames of exploration (CURL, 84×84, groups of 12 frames, preset medium); a PNG has 862 bytes:
 
-    coding                    bytes a frame    PSNR        greatest error    coded and decoded, frames/s a core
+    coding                    bytes per frame  PSNR        largest error     encoded and decoded, frames/s per core
     RGB, lossless (chosen)              303    no error                 0     4,300 and  8,300
     4:4:4, quantiser 0                  267    50.8 dB                  2     4,100 and  7,600
     4:2:0, CRF 10                       264    32.7 dB                130     4,500 and 13,700
     4:2:0, CRF 23                       134    32.1 dB                148     4,500 and 13,900
 
-Objects are four pixels wide: halving the resolution of colour, as 4:2:0 does, costs more than all other losses, and
-hardly saves a byte over losing nothing. Browsers do not play RGB; what LeRobot, PyAV and ffmpeg decode is exact.
+Objects are four pixels wide. Half the colour resolution, as in 4:2:0, costs more than all other losses, and saves
+hardly any bytes over lossless coding. Browsers do not play RGB. LeRobot, PyAV and ffmpeg decode it exactly.
 """
 
 import io
@@ -26,16 +26,16 @@ if TYPE_CHECKING:
     from av.video.stream import VideoStream
 
 MAX_FRAMES = 25_000
-"""In a file: LeRobot asks for a frame by its time in float32 to 0.1 ms, which is that fine up to 1,024 s."""
+"""Frames per file. LeRobot finds a frame by its time in float32 to 0.1 ms; float32 is that fine up to 1,024 s."""
 _GROUP = 12
-"""Frames from one that is coded by itself to the next; with 25, 214 bytes a frame, but a random one takes longer."""
+"""Frames between two that are coded on their own. With 25 it is 214 bytes per frame, but random access is slower."""
 _OPTIONS = {"qp": "0", "preset": "medium", "g": str(_GROUP), "bf": "0"}
 _FRAME = Fraction(CONTROL_DT_S).limit_denominator(10**6)
-"""Seconds; the unit of all times here."""
+"""Duration of a frame in seconds, the unit of all times here."""
 
 
 def encode_clip(images: np.ndarray) -> bytes:
-    """An mp4 of (n, H, W, 3) uint8 RGB pictures that can be joined to others; the same bytes for the same pictures."""
+    """Encode images (n, H, W, 3) uint8 RGB as an mp4 that can be appended to others. Equal images give equal bytes."""
     import av
     from av.video.stream import VideoStream
 
@@ -54,7 +54,7 @@ def encode_clip(images: np.ndarray) -> bytes:
 
 
 def decode_clip(data: bytes) -> np.ndarray:
-    """All pictures of an mp4: (n, H, W, 3) uint8 RGB."""
+    """Decode all images of an mp4: (n, H, W, 3) uint8 RGB."""
     import av
     from av.container import InputContainer
 
@@ -65,9 +65,9 @@ def decode_clip(data: bytes) -> np.ndarray:
 
 
 def pixel_error(logged: np.ndarray, decoded: np.ndarray) -> dict[str, float]:
-    """Mean and greatest absolute difference, and mean square, in levels of 255."""
+    """Mean and largest absolute difference, and mean square difference, in levels of 255."""
     mean = largest = square = 0.0
-    for a, b in zip(logged, decoded, strict=True):  # a picture at a time: all at once is a lot
+    for a, b in zip(logged, decoded, strict=True):  # one image at a time, to save memory
         error = np.abs(a.astype(np.int16) - b)
         mean += float(error.mean())
         largest = max(largest, float(error.max()))
@@ -76,7 +76,7 @@ def pixel_error(logged: np.ndarray, decoded: np.ndarray) -> dict[str, float]:
 
 
 class VideoFile:
-    """An mp4 that grows by clips, which are not coded again."""
+    """An mp4 that grows by clips, which are not encoded again."""
 
     def __init__(self, path: Path) -> None:
         import av
@@ -87,7 +87,7 @@ class VideoFile:
         self._stream: VideoStream | None = None
 
     def add(self, clip: bytes) -> None:
-        """Append what `encode_clip` gave."""
+        """Append a clip from `encode_clip`."""
         import av
         from av.container import InputContainer
 
@@ -99,11 +99,11 @@ class VideoFile:
                 self._stream.time_base = _FRAME
             for packet in source.demux(video):
                 if packet.size:  # the last one is empty
-                    packet.pts = packet.dts = self.frames  # no frame refers to a later one: they stand in their order
+                    packet.pts = packet.dts = self.frames  # no frame refers to a later one: they keep their order
                     packet.duration, packet.time_base, packet.stream = 1, _FRAME, self._stream
                     self._container.mux(packet)
                     self.frames += 1
 
     def close(self) -> None:
-        """Write the index: without it an mp4 is lost."""
+        """Write the index, without which an mp4 is unreadable."""
         self._container.close()

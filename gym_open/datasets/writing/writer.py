@@ -1,8 +1,8 @@
-"""Episodes become the files of a release.
+"""Write episodes as the files of a release.
 
-Threads prepare episodes (code pictures, hash, count), a few at a time; they are written in the order in which they were
-added, so that the number of threads changes no byte. When a data file is full, it is kept for good: a writer that is
-given the same unfinished folder again takes the episodes in it for written.
+Threads prepare a few episodes at a time (encode images, compute digests and statistics). Episodes are written in the
+order in which they were added, so that the number of threads changes no byte. A full data file is final: a later writer
+in the same unfinished folder does not write its episodes again.
 """
 
 import shutil
@@ -50,7 +50,7 @@ from gym_open.hardware import usable_cores
 
 
 class ReleaseWriter:
-    """Writes one batch of episodes, and the records of the release that it makes with the batches before it.
+    """Writes one batch of episodes, and the records of the release with all batches.
 
     with ReleaseWriter(folder, header, described, shares, ours=…, data_file_mb=100) as writer:
         for episode in episodes:
@@ -62,17 +62,17 @@ class ReleaseWriter:
         self, folder: Path, header: Header, described: Features, shares: Mapping[Split, Share], *,
         ours: Mapping[str, Any], data_file_mb: int, after: Release | None = None, workers: int | None = None,
     ) -> None:  # fmt: skip
-        """Begin, or go on: what is in `folder` and is not the work of an earlier writer like this one is removed.
+        """Begin, or continue from an earlier writer like this one. All other files in `folder` are removed.
 
         Args:
-            folder: of the unfinished artefact.
+            folder: folder of the unfinished artefact.
             header: name, version, licence, date of the release.
-            described: `features.features` of it.
-            shares: how many episodes and frames each split will get; frames are numbered by it.
+            described: its features, from `features.features`.
+            shares: number of episodes and frames that each split will get, by which frames are numbered.
             ours: `split_by`, `val`, `max_episode_steps` and `pictures`, for `info.json`.
-            data_file_mb: a new data file is begun at this size in memory, in MiB.
-            after: release of the same features whose files are taken over, byte for byte, before this batch.
-            workers: threads; all processors if not given.
+            data_file_mb: size in memory, in MiB, at which a new data file begins.
+            after: release with the same features whose files come before this batch, copied byte for byte.
+            workers: number of threads; by default one per processor.
         """
         self._folder, self._header, self._described, self._ours = folder, header, described, ours
         self._mb, self._after = data_file_mb, after
@@ -102,7 +102,7 @@ class ReleaseWriter:
         self._pool.shutdown(cancel_futures=True)
 
     def skip(self, shares: Mapping[Split, Share]) -> bool:
-        """Take the next episodes, so many of each split, for added if all of them were written before a kill."""
+        """Skip the next episodes, as many per split, if all were written before a kill. Return whether it did."""
         tracks = [(self._tracks[split], share) for split, share in shares.items() if share.episodes]
         if any(track.kept < track.added + share.episodes for track, share in tracks):
             return False
@@ -111,7 +111,7 @@ class ReleaseWriter:
         return True
 
     def add(self, episode: SourceEpisode) -> None:
-        """Add an episode: the next one of its split."""
+        """Add the next episode of its split."""
         track = self._tracks[episode.row["split"]]
         track.added += 1
         if track.added <= track.kept:
@@ -124,20 +124,20 @@ class ReleaseWriter:
         """Finish the data files, then write everything under `meta/`.
 
         Args:
-            tables: `streams`, `worlds` and `switches` of this batch; the others follow from its episodes.
+            tables: `streams`, `worlds` and `switches` of this batch. The other tables follow from its episodes.
 
         Returns:
             Facts: frames, episodes, steps, and the content digest of the release.
 
         Raises:
-            ArtefactError: if there are not as many episodes and frames as was said, or none.
+            ArtefactError: if the numbers of episodes and frames are not the announced ones, or are 0.
         """
         while self._waiting:
             self._write_next()
         for track in self._tracks.values():
             track.close()
         if not self._tracks:
-            raise ArtefactError(f"{self._header.name}: no episode to make a release of; collect some steps first")
+            raise ArtefactError(f"{self._header.name}: no episode for a release; collect some steps first")
         self._take_over()
         self._join_parts()
         for name, table in tables.items():
@@ -151,7 +151,7 @@ class ReleaseWriter:
         self._tracks[made.episode.row["split"]].write(made)
 
     def _tidy(self) -> None:
-        """Remove what an interrupted writer left and cannot be gone on from."""
+        """Remove files of an interrupted writer from which nothing can continue."""
         kept = {name for track in self._tracks.values() for name in track.files}
         for path in sorted(self._folder.rglob("*"), reverse=True):
             name = path.relative_to(self._folder).as_posix()
@@ -183,20 +183,20 @@ class ReleaseWriter:
 
 
 def check_workers(workers: int | None) -> None:
-    """Raises UsageError if so many threads cannot be."""
+    """Raise UsageError if the number of threads is below 1."""
     if workers is not None and workers < 1:
-        raise UsageError(f"workers: expected 1 or more, got {workers}; leave it out for one a processor")
+        raise UsageError(f"workers: expected 1 or more, got {workers}; leave it out for one per processor")
 
 
 def complete(folder: Path, config: Header, command: Command, previous: Release | None, parents: Sequence[Path]) -> None:
     """Write the documents of a release next to the data and tables in `folder`, and check its version.
 
     Args:
-        folder: of the unfinished artefact, after `ReleaseWriter.close`.
-        config: all that decides the release.
-        command: what makes it.
-        previous: the version before it, if there is one.
-        parents: artefacts that it is made of, `previous` last.
+        folder: folder of the unfinished artefact, after `ReleaseWriter.close`.
+        config: everything that determines the release.
+        command: the command that makes it.
+        previous: the previous version, if there is one.
+        parents: artefacts from which it is made, `previous` last.
 
     Raises:
         ArtefactError: if the version does not follow from what changed since `previous`.

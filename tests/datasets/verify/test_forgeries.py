@@ -81,7 +81,7 @@ def other_picture(root: Path) -> str:
         return [{"bytes": encode_pngs(images[:1])[0], "path": None}, *rows[1:]]
 
     edit_table(root, "data/chunk-000/file-000.parquet", lambda t: replaced(t, IMAGE, change))
-    return "observation.image is not what its content digest says"
+    return "observation.image does not match its content digest"
 
 
 def other_padding(root: Path) -> str:
@@ -97,12 +97,12 @@ def other_padding(root: Path) -> str:
 
 def other_frames(root: Path) -> str:
     edit_table(root, "data/chunk-000/file-000.parquet", lambda t: t.take(pa.array(np.arange(len(t))[::-1])))
-    return "index is not what its place"
+    return "index does not fit its place"
 
 
 def other_puzzle(root: Path) -> str:
     edit_table(root, WORLDS, lambda t: replaced(t, "json", lambda rows: [rows[1], rows[1], *rows[2:]]))
-    return "not of the layout"
+    return "not that of the layout"
 
 
 def evaluation_puzzle(root: Path) -> str:
@@ -120,13 +120,13 @@ def lost_episode(root: Path) -> str:
 
 def lost_keyframes(root: Path) -> str:
     edit_table(root, "meta/keyframes/file-000.parquet", lambda t: t.slice(0, 0))
-    return "no state of its beginning"
+    return "its first frame has no stored state"
 
 
 def other_frame_of_keyframe(root: Path) -> str:
     name = "meta/keyframes/file-000.parquet"
     edit_table(root, name, lambda t: replaced(t, "frame_index", lambda rows: [rows[0] + 1, *rows[1:]]))
-    return "is not of that episode and frame"
+    return "does not fit that episode and frame"
 
 
 def other_switch(root: Path) -> str:
@@ -138,7 +138,7 @@ def other_switch(root: Path) -> str:
 def other_segment(root: Path) -> str:
     name = "meta/segments/file-000.parquet"
     edit_table(root, name, lambda t: replaced(t, "steps", lambda rows: [rows[0] + 1, *rows[1:]]))
-    return "is not what its episodes say"
+    return "does not follow from its episodes"
 
 
 def other_croissant(root: Path) -> str:
@@ -162,12 +162,12 @@ def path_of_picture(root: Path) -> str:
         return [{"bytes": rows[0]["bytes"], "path": "/etc/passwd"}, *rows[1:]]
 
     edit_table(root, DATA, lambda t: replaced(t, IMAGE, change))
-    return "has a path beside its bytes"
+    return "has a path in addition to its bytes"
 
 
 def other_metadata(root: Path) -> str:
     edit_table(root, DATA, lambda t: t.replace_schema_metadata({"huggingface": "{}"}))
-    return "its metadata is not that of its features"
+    return "its metadata does not fit its features"
 
 
 def other_ancestor(root: Path) -> str:
@@ -175,7 +175,7 @@ def other_ancestor(root: Path) -> str:
         value["parents"][0]["lineage"]["code"] = "another"
 
     edit_json(root, "lineage.json", change)
-    return "the records of parent 0 are not its own"
+    return "parent 0: records and digest differ"
 
 
 def other_fact(root: Path) -> str:
@@ -185,7 +185,7 @@ def other_fact(root: Path) -> str:
 
 def other_logs(root: Path) -> str:
     edit_json(root, "lineage.json", lambda value: value["facts"].update(logs=["0" * 64]))
-    return "the logs that it holds are not its parents"
+    return "its list of logs is not that of its parents"
 
 
 def edit_config(root: Path, **values: Any) -> None:
@@ -203,17 +203,17 @@ def other_setting(root: Path) -> str:
 
 def other_draw(root: Path) -> str:
     edit_config(root, val_fraction=0.0)
-    return "its seed and val_fraction set other worlds or streams aside"
+    return "its seed and val_fraction give other worlds or streams in val"
 
 
 def unknown_setting(root: Path) -> str:
     edit_config(root, trust=True)
-    return "the configuration of no release"
+    return "not the configuration of a release"
 
 
 def configuration_in_one_place(root: Path) -> str:
     edit_json(root, "config.json", lambda value: value.update(seed=99))
-    return "its command or configuration is not that of config.json"
+    return "its command or configuration is not that in config.json"
 
 
 def add_to(name: str) -> Callable[[Path], str]:
@@ -228,7 +228,7 @@ def add_to(name: str) -> Callable[[Path], str]:
             subject["digest"]["sha256"] = sha256_file(root / name)
 
         edit_json(root, PROVENANCE, change)
-        return "not what this version of gym-open writes of this release"
+        return "not what this version of gym-open, which lineage.json names"
 
     return forge
 
@@ -279,4 +279,4 @@ def test_words_of_another_version_are_no_problem_but_told(copy: Path, reseal: Re
     reseal(copy)
     report = verify(copy)
     assert report.problems == []
-    assert outcomes(report)["texts"] == "README.md: not what this version of gym-open would write, but 9.9.9+abc may"
+    assert outcomes(report)["texts"] == "README.md: not what this version of gym-open writes, but 9.9.9+abc may"

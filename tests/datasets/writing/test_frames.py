@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gym_open.datasets.writing.frames import numbers
-from gym_open.datasets.writing.statistics import Merger, Stats, feature_stats, picture_stats
+from gym_open.datasets.writing.statistics import Merger, Stats, feature_stats, image_stats
 from gym_open.envs.puzzles.generators import sample_puzzle
 from gym_open.formats.logs.schemas import Segment
 from gym_open.formats.pngs import decode_png, encode_pngs
@@ -107,7 +107,7 @@ def test_picture_statistics_are_numpys(sizes: tuple[int, ...]) -> None:
     batches = [rng.integers(0, 200, (size, 84, 84, 3), dtype=np.uint8) for size in sizes]
     merger = Merger()
     for batch in batches:
-        merger.add(picture_stats(batch))
+        merger.add(image_stats(batch))
     values, entry = np.concatenate(batches).reshape(-1, 3) / 255, merger.result()
     for name in ("min", "max", "mean", "std"):
         assert np.allclose(np.ravel(getattr(entry, name)), getattr(np, name)(values, axis=0), rtol=1e-12)
