@@ -56,7 +56,7 @@ def _log_events(rec: rr.RecordingStream, number: int, episode: PuzzleEpisode) ->
 def _about(played: PlayedPuzzle) -> str:
     rows = [[cell(episode.name), cell(episode.outcome), f"{episode.returns[-1]:g}"] for episode in played.episodes]
     budget = step_budget(played.puzzle.task)
-    actions = [f"- {cell(episode.name)}: {_in_words(episode)}" for episode in played.episodes]
+    actions = [f"- {cell(episode.name)}: {' '.join(map(str, episode.actions))}" for episode in played.episodes]
     return "\n".join(
         [
             f"# {played.id}",
@@ -76,11 +76,6 @@ def _about(played: PlayedPuzzle) -> str:
             f"```json\n{played.puzzle.to_json().decode()}\n```",
         ]
     )
-
-
-def _in_words(episode: PuzzleEpisode) -> str:
-    """Return the actions as one line."""
-    return " ".join(f"{action}" for action in episode.actions)
 
 
 def _layout(played: PlayedPuzzle) -> rrb.Blueprint:
