@@ -16,24 +16,24 @@ _SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "
 """The hub's size categories, by number of frames."""
 _LARGEST = "10M<n<100M"
 MEANINGS = {
-    "observation.image": "what the camera sees, RGB",
+    "observation.image": "image of the camera, RGB",
     "observation.state": "the agent: position (m), quaternion wxyz, linear (m/s) and angular velocity (rad/s)",
-    "observation.environment_state": "as `observation.state`, of every object; unused ones stand parked at y = −30 m",
-    "action": "one-hot of nine moves",
-    "action.index": "number of the action; −1 on an episode's last frame",
-    "reward.intrinsic": "the explorer's own reward",
-    "reward_part": "what the intrinsic reward is made of; NaN for explorers without it",
-    "world_model.loss": "the world model's on the world being played in, as the curriculum scales it; or NaN",
-    "policy.entropy": "nats, of the policy that chose the action",
-    "policy.value": "what the policy's critic expected",
+    "observation.environment_state": "like `observation.state`, for every object; unused ones are parked at y = −30 m",
+    "action": "one-hot, nine moves",
+    "action.index": "number of the action; −1 on the last frame of an episode",
+    "reward.intrinsic": "intrinsic reward of the explorer",
+    "reward_part": "part of the intrinsic reward; NaN for explorers without it",
+    "world_model.loss": "loss of the world model in the current world, as the curriculum scales it; or NaN",
+    "policy.entropy": "entropy in nats of the policy that chose the action",
+    "policy.value": "value that the critic of the policy predicted",
     "contact.count": "contacts in the step",
     "contact.agent": "contacts of the agent in the step",
     "contact.impulse": "sum of the impulses of all contacts (N s)",
-    "next.reward": "from outside: always 0",
+    "next.reward": "extrinsic reward: always 0",
     "next.done": "always False",
-    "next.truncated": "nothing comes after in this episode",
-    "transition.valid": "False on an episode's last frame, which holds no action",
-    "timestamp": "seconds since the episode's start",
+    "next.truncated": "True for the last action and the frame after it",
+    "transition.valid": "False on the last frame of an episode, which has no action",
+    "timestamp": "seconds since the start of the episode",
     "frame_index": "within the episode",
     "episode_index": "within the release",
     "index": "within the release",
@@ -46,9 +46,9 @@ def description(facts: ReleaseFacts) -> str:
     """Describe the release in one sentence."""
     release = facts.release
     return (
-        f"What exploration policies saw and did in gym-open's sandbox, a table with spheres and cubes that an agent "
-        f"pushes about by nine discrete moves, without a task and without a reward from outside: {len(release):,} "
-        f"frames of 84×84 RGB in {len(release.episodes):,} episodes, {facts.steps:,} actions at {fps()} a simulated "
+        f"Observations and actions of exploration policies in gym-open's sandbox, a table with spheres and cubes that "
+        f"an agent pushes with nine discrete moves, without a task and without extrinsic reward: {len(release):,} "
+        f"frames of 84×84 RGB in {len(release.episodes):,} episodes, {facts.steps:,} actions at {fps()} per simulated "
         "second."
     )
 

@@ -124,14 +124,14 @@ def _frames(release: Release) -> dict[str, Any]:
             fields.append(_field("frames", name, "sc:ImageObject", transform="bytes"))
         elif feature["dtype"] != "video":  # the images of a video are in separate files
             fields.append(_field("frames", name, _TYPES[feature["dtype"]], feature["shape"][0]))
-    return _record_set("frames", ["index"], fields, "One record a frame; the last of an episode holds no action.")
+    return _record_set("frames", ["index"], fields, "One record per frame. The last frame of an episode has no action.")
 
 
 def _tables(release: Release) -> Iterator[dict[str, Any]]:
     episodes = episodes_schema(release.info["features"])
     for name, schema, key, about in (
-        ("episodes", episodes, ["episode_index"], "One record an episode: uninterrupted steps in one world."),
-        ("worlds", table_schema("worlds", {}), ["stream", "world"], "One record a world of a stream's pool."),
+        ("episodes", episodes, ["episode_index"], "One record per episode: uninterrupted steps in one world."),
+        ("worlds", table_schema("worlds", {}), ["stream", "world"], "One record per world in the pool of a stream."),
     ):
         columns = [
             column for column in schema if not column.name.startswith(STATS) and not pa.types.is_list(column.type)

@@ -76,14 +76,14 @@ def test_counts_are_those_of_pandas(text: str, release: Release) -> None:
         own = steps[steps["explorer"] == row[0]]
         shares = own["action.index"].value_counts(normalize=True).reindex(range(9), fill_value=0)
         assert row[1:] == [f"{share:.1%}" for share in shares]
-    for row in cells(text, "What explorers thought"):
+    for row in cells(text, "The explorers' own values"):
         values = steps[steps["explorer"] == row[0]][row[1].strip("`")]
         values = values[np.isfinite(values)].astype(float)
         assert row[2:6] == [f"{x:.4g}" for x in (values.min(), values.median(), values.mean(), values.max())]
 
 
 def test_what_an_explorer_does_not_have_is_left_out(text: str) -> None:
-    rows = {(row[0], row[1]) for row in cells(text, "What explorers thought")}
+    rows = {(row[0], row[1]) for row in cells(text, "The explorers' own values")}
     assert ("icm", "`reward_part.forward`") in rows
     assert ("icm", "`world_model.loss`") in rows
     assert not {("random", "`reward_part.forward`"), ("random", "`world_model.loss`")} & rows
