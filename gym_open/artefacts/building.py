@@ -120,7 +120,7 @@ def _verify_own(out: Path) -> None:
     try:
         verify(out)
     except ArtefactError as error:
-        raise ArtefactError(f"{error}. To make it anew: remove the folder {out} and run the same command") from None
+        raise ArtefactError(f"{error}. To make it again, remove the folder {out} and run the same command") from None
 
 
 def _set_aside(path: Path) -> Path:

@@ -105,7 +105,7 @@ def read_record(path: Path) -> bytes:
     """
     about = path.lstat()
     if not stat.S_ISREG(about.st_mode) or about.st_size > _MAX_RECORD_BYTES:
-        raise ArtefactError(f"{path}: a link, a special file, or over {_MAX_RECORD_BYTES:,} bytes; get it anew")
+        raise ArtefactError(f"{path}: a link, a special file, or over {_MAX_RECORD_BYTES:,} bytes; get it again")
     return path.read_bytes()
 
 

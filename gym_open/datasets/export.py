@@ -115,7 +115,7 @@ def export_minari(root: Path, split: str, out: Path, dataset_id: str) -> Path:
         data = partial / "data"
         data.mkdir(parents=True)
         storage = MinariStorage.new(data, *_spaces(release), jpeg_encoding=False)
-        about = f"Split {split} of {release.name} {release.version}: play without a task, recorded by gym-open."
+        about = f"Split {split} of {release.name} {release.version}: exploration without a task, recorded by gym-open."
         storage.update_metadata({"dataset_id": dataset_id, "minari_version": minari.__version__, "description": about})
         for number, row in enumerate(rows.to_dict("records")):
             span = (row["dataset_from_index"], row["dataset_to_index"])

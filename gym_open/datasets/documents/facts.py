@@ -132,12 +132,12 @@ def gather(release: Release) -> ReleaseFacts:
     """
     episodes = release.episodes
     names = sorted(episodes["explorer"].unique())
-    played = [_episodes_of(name, episodes[episodes["explorer"] == name]) for name in names]
+    explorers = [_episodes_of(name, episodes[episodes["explorer"] == name]) for name in names]
     owner = episodes["explorer"].map({name: i for i, name in enumerate(names)}).to_numpy()
-    _read_frames(release, played, owner)
+    _read_frames(release, explorers, owner)
     splits = {name: _split(episodes[episodes["split"] == name]) for name in SPLITS}
     size = sum(path.stat().st_size for folder in ("data", "videos") for path in (release.root / folder).rglob("*.*"))
-    return ReleaseFacts(release, played, list(_logs(release)), splits, size)
+    return ReleaseFacts(release, explorers, list(_logs(release)), splits, size)
 
 
 def _episodes_of(explorer: str, rows: "pd.DataFrame") -> ExplorerFacts:
@@ -163,18 +163,18 @@ def _split(rows: "pd.DataFrame") -> SplitFacts:
     )
 
 
-def _read_frames(release: Release, played: list[ExplorerFacts], owner: np.ndarray) -> None:
-    """Count the frames of each explorer. `owner` holds, for each episode, the number of its explorer in `played`."""
+def _read_frames(release: Release, explorers: list[ExplorerFacts], owner: np.ndarray) -> None:
+    """Count the frames of each explorer. `owner` holds, for each episode, the number of its explorer in `explorers`."""
     thought = [*LEARNING, *sorted(name for name in release.info["features"] if name.startswith(PART))]
     columns = ["episode_index", "action.index", "contact.agent", "transition.valid", "observation.state", *thought]
     schema = features.schema(release.info["features"])
-    values: list[dict[str, list[np.ndarray]]] = [{name: [] for name in thought} for _ in played]
+    values: list[dict[str, list[np.ndarray]]] = [{name: [] for name in thought} for _ in explorers]
     for path in sorted(release.root.glob(DATA_PATHS)):
         frames = parquet.read(path, schema, columns).combine_chunks()
         column = {name: frames.column(name).to_numpy() for name in columns if name != "observation.state"}
         places = frames.column("observation.state").combine_chunks().flatten().to_numpy().reshape(len(frames), -1)
         explorer = owner[column["episode_index"]]
-        for number, one in enumerate(played):
+        for number, one in enumerate(explorers):
             own = explorer == number
             x, y = places[own, :2].T
             one.visits += np.histogram2d(y, x, bins=(Y_EDGES, X_EDGES))[0].astype(np.int64)
@@ -183,7 +183,7 @@ def _read_frames(release: Release, played: list[ExplorerFacts], owner: np.ndarra
             one.touching += int((column["contact.agent"][steps] > 0).sum())
             for name in thought:
                 values[number][name].append(column[name][steps])
-    for one, found in zip(played, values, strict=True):
+    for one, found in zip(explorers, values, strict=True):
         one.ranges = {name: _range(np.concatenate(parts)) for name, parts in found.items()}
 
 

@@ -51,7 +51,7 @@ def _contact_sheet(facts: ReleaseFacts) -> "Figure":
     shown = facts.explorers[:_SHOWN]
     episodes = facts.release.episodes
     picks = [_pick(episodes[episodes["explorer"] == one.explorer]) for one in shown]
-    pictures = facts.release.images(np.concatenate([numbers for numbers, _ in picks]))
+    images = facts.release.images(np.concatenate([numbers for numbers, _ in picks]))
     side = IMAGE_SIZE * _ZOOM
     width, height = _LABEL + _COLUMNS * (side + _GAP), len(shown) * (side + _GAP + _HEAD)
     figure = Figure(figsize=(width / 100, height / 100), dpi=100)
@@ -60,8 +60,8 @@ def _contact_sheet(facts: ReleaseFacts) -> "Figure":
         figure.text(8 / width, (bottom + side / 2) / height, _name(one.explorer), va="center", fontsize=11)
         for column, (number, world) in enumerate(zip(numbers, worlds, strict=True)):
             left = _LABEL + column * (side + _GAP)
-            picture = pictures[row * _COLUMNS + column].repeat(_ZOOM, axis=0).repeat(_ZOOM, axis=1)
-            figure.figimage(picture, left, bottom, origin="upper")
+            image = images[row * _COLUMNS + column].repeat(_ZOOM, axis=0).repeat(_ZOOM, axis=1)
+            figure.figimage(image, left, bottom, origin="upper")
             text = f"{world[:6]}, frame {number:,}"
             figure.text(left / width, (bottom + side + 6) / height, text, fontsize=8, color="#444444")
     return figure

@@ -54,7 +54,7 @@ def replay_apart(release: Release, tolerance: float, findings: Findings) -> Repl
 
 
 def main(root: str, tolerance: str, out: str) -> None:
-    """ReplayResult a release and write what came of it."""
+    """Replay a release and write the result."""
     release = Release(Path(root), "", read_info(Path(root)), cached_groups=_CACHED_GROUPS)
     findings = Findings()
     try:

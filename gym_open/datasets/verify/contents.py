@@ -206,7 +206,7 @@ def _check_stats(release: Release, mergers: Mapping[str, Merger], findings: Find
         findings.expect(good, STATS_PATH, f"statistics of {name} do not follow from the episodes")
 
 
-def _check_digests(release: Release, episodes: list[str], pictures: list[str], findings: Findings) -> str:
+def _check_digests(release: Release, episodes: list[str], images: list[str], findings: Findings) -> str:
     """Check that `meta/digests.json` follows from the decoded content; return the digest of the release."""
     said = read_json(release.root / DIGESTS_PATH, dict[str, Any])
     files: dict[str, str] = {}
@@ -217,7 +217,7 @@ def _check_digests(release: Release, episodes: list[str], pictures: list[str], f
         stop = first + len(list(group))
         files[data_path(*place)] = content.data_file_digest(episodes[first:stop])
         if release.info["features"][IMAGE]["dtype"] == "video":
-            files[video_path(*place)] = content.data_file_digest(pictures[first:stop])
+            files[video_path(*place)] = content.data_file_digest(images[first:stop])
         first = stop
     for path in (*release.root.glob("meta/*/**/*.parquet"), release.root / TASKS_PATH):
         name = path.relative_to(release.root).as_posix()

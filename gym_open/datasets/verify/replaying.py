@@ -55,21 +55,21 @@ def replay_release(release: Release, tolerance: float, findings: Findings) -> Re
             "with the version in its provenance",
         )
         return done
-    played = _EpisodeReplayer(release, player)
+    replayer = _EpisodeReplayer(release, player)
     with progress.bar("replaying", int(release.episodes["steps"].sum())) as bar:
         for row in rows_of(release.episodes):
             try:
-                done.windows += played.episode(row)
+                done.windows += replayer.episode(row)
             except GymOpenError as error:
-                findings.add(played.file, f"episode {row['episode_index']}: cannot be replayed: {error}")
+                findings.add(replayer.file, f"episode {row['episode_index']}: cannot be replayed: {error}")
                 player.finish()
             bar.advance(row["steps"], f"episode {row['episode_index']}")
-    done.windows += played.finish()
+    done.windows += replayer.finish()
     done.steps = sum(window.steps for window in done.windows)
     for window in done.windows:
         if window.verdict == "diverged":
             findings.add(*_difference(window, release))
-    done.skipped = played.skipped
+    done.skipped = replayer.skipped
     if done.skipped and not done.steps:
         findings.add(
             "meta/keyframes",
@@ -87,7 +87,7 @@ def _difference(window: ReplayWindow, release: Release) -> tuple[str, str]:
     off = max(window.state_error, key=window.state_error.__getitem__, default=None)
     parts = [] if off is None else [f"{off} off by {window.state_error[off]:.2g}"]
     parts += [f"contacts off in {window.contact_steps} step(s)"] if window.contact_steps else []
-    parts += [f"{window.pixels:,} pixel(s) of {window.images} picture(s)"] if window.pixels else []
+    parts += [f"{window.pixels:,} pixel(s) of {window.images} image(s)"] if window.pixels else []
     where = f"episode {row['episode_index']}: diverged in the replay at step {window.first_diverged} of its stream"
     return data_path(row["data/chunk_index"], row["data/file_index"]), f"{where} ({', '.join(parts)})"
 
