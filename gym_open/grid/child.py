@@ -26,7 +26,7 @@ JobState = Literal["waiting", "running", "made", "up to date", "failed", "held u
 
 
 @dataclass
-class JobStatus:
+class GridJobStatus:
     """The state of a job."""
 
     job: GridJob

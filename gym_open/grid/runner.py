@@ -15,7 +15,7 @@ from rich.console import Console
 from gym_open.errors import GymOpenError, UsageError
 from gym_open.evaluate.config import EvaluateConfig
 from gym_open.files import lock, write_atomically
-from gym_open.grid.child import Child, JobStatus, alone
+from gym_open.grid.child import Child, GridJobStatus, alone
 from gym_open.grid.config import GridConfig
 from gym_open.grid.plan import SPEEDS, GridJob, StageName, chains, make_plan, seconds
 from gym_open.grid.table import Screen
@@ -33,7 +33,7 @@ class Runner:
 
     def __init__(self, jobs: Sequence[GridJob], folder: Path, width: int) -> None:
         self.folder, self.width = folder, width
-        self.statuses = {job.name: JobStatus(job) for job in jobs}
+        self.statuses = {job.name: GridJobStatus(job) for job in jobs}
         self._jobs = jobs
         self._children: dict[str, Child] = {}
         self._speeds: dict[StageName, float] = dict(SPEEDS)  # latest measurement per stage
@@ -49,7 +49,7 @@ class Runner:
                 self.statuses[job.name].state = "up to date"
                 screen.show(self.statuses, self.left())
         try:
-            while not all(run.ended for run in self.statuses.values()):
+            while not all(status.ended for status in self.statuses.values()):
                 for job in self._ready()[: self.width - len(self._children)]:
                     self._children[job.name] = Child(job, self.folder)
                     self.statuses[job.name].state = "running"
@@ -63,25 +63,25 @@ class Runner:
 
     def _ready(self) -> list[GridJob]:
         """Jobs that may start now: short scores and probes first, then the longest dependency chain first."""
-        waiting = [run.job for run in self.statuses.values() if run.state == "waiting"]
+        waiting = [status.job for status in self.statuses.values() if status.state == "waiting"]
         ready = [job for job in waiting if all(self.statuses[need.name].done for need in job.needs)]
         return sorted(ready, key=lambda job: (job.stage not in ("evaluate", "train probe"), -self._chains[job.name]))
 
     def _look(self, name: str) -> None:
-        run, child = self.statuses[name], self._children[name]
-        run.seconds = child.seconds
-        run.progress = child.progress()
-        if run.progress and run.progress.rate:
-            self._speeds[run.job.stage] = run.progress.rate * run.job.units / max(run.progress.total, 1)
+        status, child = self.statuses[name], self._children[name]
+        status.seconds = child.seconds
+        status.progress = child.progress()
+        if status.progress and status.progress.rate:
+            self._speeds[status.job.stage] = status.progress.rate * status.job.units / max(status.progress.total, 1)
         code = child.poll()
         if code is None:
             return
         del self._children[name]
         if code:
-            run.state, run.reason = "failed", child.reason()
-            self._hold_up(run.job)
+            status.state, status.reason = "failed", child.reason()
+            self._hold_up(status.job)
         else:
-            run.state = "made" if child.has_made() else "up to date"
+            status.state = "made" if child.has_made() else "up to date"
 
     def _hold_up(self, failed: GridJob) -> None:
         """Mark all jobs that need the failed job, directly or through other jobs."""
@@ -101,10 +101,10 @@ class Runner:
 
     def left(self) -> float:
         """Approximate seconds until the end: the longest dependency chain, or all work divided by `width` if longer."""
-        remaining = {name: self._remaining(run) for name, run in self.statuses.items()}
+        remaining = {name: self._remaining(status) for name, status in self.statuses.items()}
         return max(*chains(self._jobs, remaining).values(), sum(remaining.values()) / self.width)
 
-    def _remaining(self, status: JobStatus) -> float:
+    def _remaining(self, status: GridJobStatus) -> float:
         if status.ended:
             return 0.0
         if status.progress and status.progress.rate:
@@ -141,16 +141,16 @@ def run_grid(config: GridConfig, out: Path, *, root: Path, jobs: int | None, con
         runner = Runner(plan, out / "jobs", width)
         with interruptible(), Screen(console) as screen:
             runner.run(screen)
-        failed = [run for run in runner.statuses.values() if run.state == "failed"]
-        for run in failed:
-            _print_failure(run, runner.folder, console)
-        report = _report([run.job for run in runner.statuses.values() if run.done], out)
+        failed = [status for status in runner.statuses.values() if status.state == "failed"]
+        for status in failed:
+            _print_failure(status, runner.folder, console)
+        report = _report([status.job for status in runner.statuses.values() if status.done], out)
     if failed or report is None:
         if report is not None:
             console.print(
                 f"the report covers the finished jobs: {markup(str(report))}", highlight=False, soft_wrap=True
             )
-        held_up = sum(run.state == "held up" for run in runner.statuses.values())
+        held_up = sum(status.state == "held up" for status in runner.statuses.values())
         others = f", and {held_up} that need what they make were not started" if held_up else ""
         raise GymOpenError(
             f"{len(failed)} of {len(plan)} jobs failed{others}: see above; run the same command to try again"
@@ -158,7 +158,7 @@ def run_grid(config: GridConfig, out: Path, *, root: Path, jobs: int | None, con
     return report
 
 
-def _print_failure(failed: JobStatus, folder: Path, console: Console) -> None:
+def _print_failure(failed: GridJobStatus, folder: Path, console: Console) -> None:
     name = failed.job.name
     for line in (
         f"[bold red]failed[/] {markup(name)}: {markup(failed.reason)}",

@@ -12,7 +12,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from gym_open.grid.child import JobStatus
+from gym_open.grid.child import GridJobStatus
 from gym_open.progress import duration, speed
 from gym_open.terminal import printable
 
@@ -42,56 +42,56 @@ class Screen:
         if self._live:
             self._live.stop()
 
-    def show(self, statuses: Mapping[str, JobStatus], left: float) -> None:
+    def show(self, statuses: Mapping[str, GridJobStatus], left: float) -> None:
         """Show the state of the jobs, and the seconds that are left."""
         if self._live:
             self._live.update(table(statuses, left, self.console.height), refresh=True)
         else:
             self._print(statuses, left)
 
-    def _print(self, statuses: Mapping[str, JobStatus], left: float) -> None:
-        for name, run in statuses.items():
-            if run.state not in ("waiting", self._printed.get(name)):
-                self._printed[name] = run.state
-                took = f" ({duration(run.seconds)})" if run.seconds else ""
-                reason = f": {run.reason}" if run.reason else ""
-                self._line(f"{name}: {run.state}{took}{reason}")
+    def _print(self, statuses: Mapping[str, GridJobStatus], left: float) -> None:
+        for name, status in statuses.items():
+            if status.state not in ("waiting", self._printed.get(name)):
+                self._printed[name] = status.state
+                took = f" ({duration(status.seconds)})" if status.seconds else ""
+                reason = f": {status.reason}" if status.reason else ""
+                self._line(f"{name}: {status.state}{took}{reason}")
         if time.monotonic() - self._summarised >= _EVERY:
             self._summarised = time.monotonic()
             self._line(summary(statuses, left))
-            for name, run in statuses.items():
-                if run.state == "running":
-                    self._line(f"  {name}: {how_far(run)}")
+            for name, status in statuses.items():
+                if status.state == "running":
+                    self._line(f"  {name}: {how_far(status)}")
 
     def _line(self, text: str) -> None:
         self.console.print(printable(text), highlight=False, markup=False, soft_wrap=True)
 
 
-def table(statuses: Mapping[str, JobStatus], left: float, height: int) -> RenderableType:
+def table(statuses: Mapping[str, GridJobStatus], left: float, height: int) -> RenderableType:
     """The jobs that fit on a screen of `height` lines: running ones first, then failed ones, then the next ones."""
     order = ("running", "failed", "waiting", "held up", "made", "up to date")
-    runs = sorted(statuses.values(), key=lambda run: order.index(run.state))
+    ordered = sorted(statuses.values(), key=lambda status: order.index(status.state))
     room = max(height - 4, 1)
     shown = Table(box=None, pad_edge=False, show_header=False)
     for ratio in (3, None, None, None, None):
         shown.add_column(no_wrap=True, overflow="ellipsis", ratio=ratio)
-    for run in runs[:room]:
-        share = run.progress.done / max(run.progress.total, 1) if run.progress else 0.0
-        is_running = run.state == "running"
+    for status in ordered[:room]:
+        share = status.progress.done / max(status.progress.total, 1) if status.progress else 0.0
+        is_running = status.state == "running"
         shown.add_row(
-            Text(printable(run.job.name)),
-            Text(run.state, style=_STYLES[run.state]),
+            Text(printable(status.job.name)),
+            Text(status.state, style=_STYLES[status.state]),
             ProgressBar(total=1.0, completed=share, width=10) if is_running else "",
-            Text(how_far(run) if is_running else printable(run.reason)),
-            Text(duration(run.seconds) if run.seconds else ""),
+            Text(how_far(status) if is_running else printable(status.reason)),
+            Text(duration(status.seconds) if status.seconds else ""),
         )
-    more = [Text(f"… and {len(runs) - room} more", style="dim")] if len(runs) > room else []
+    more = [Text(f"… and {len(ordered) - room} more", style="dim")] if len(ordered) > room else []
     return Group(Text(summary(statuses, left), style="bold"), shown, *more)
 
 
-def summary(statuses: Mapping[str, JobStatus], left: float) -> str:
+def summary(statuses: Mapping[str, GridJobStatus], left: float) -> str:
     """One line on all jobs together."""
-    states = Counter(run.state for run in statuses.values())
+    states = Counter(status.state for status in statuses.values())
     done = states["made"] + states["up to date"]
     parts = [f"{done} of {len(statuses)} jobs done"]
     parts += [f"{states[state]} {state}" for state in ("running", "failed", "held up") if states[state]]
@@ -100,9 +100,9 @@ def summary(statuses: Mapping[str, JobStatus], left: float) -> str:
     return ", ".join(parts)
 
 
-def how_far(run: JobStatus) -> str:
+def how_far(status: GridJobStatus) -> str:
     """Finished and total units, speed, and remaining time of a running job."""
-    progress = run.progress
+    progress = status.progress
     if progress is None:
         return "starting"
     words = f"{progress.done:,}/{progress.total:,}"

@@ -20,7 +20,7 @@ from gym_open.errors import GymOpenError
 from gym_open.evaluate.config import EvaluateConfig
 from gym_open.files import lock
 from gym_open.grid import AgentConfig, GridConfig, child, run_grid, runner
-from gym_open.grid.child import JobStatus
+from gym_open.grid.child import GridJobStatus
 from gym_open.grid.plan import GridJob, StageName
 from gym_open.grid.runner import Runner
 from gym_open.grid.table import Screen, table
@@ -205,7 +205,7 @@ with bar("playing", 400) as shown:
     seen = set[tuple[int, int]]()
 
     class Watch(Screen):
-        def show(self, statuses: Mapping[str, JobStatus], left: float) -> None:  # noqa: ARG002
+        def show(self, statuses: Mapping[str, GridJobStatus], left: float) -> None:  # noqa: ARG002
             if (found := statuses["plays"].progress) is not None:
                 seen.add((found.done, found.total))
                 (tmp_path / f"plays.{found.done}").touch()
@@ -266,7 +266,7 @@ while os.getppid() == parent:  # nor does it outlive the tests
     pid = tmp_path / "stubborn.pid"
 
     class Stop(Screen):
-        def show(self, statuses: Mapping[str, JobStatus], left: float) -> None:  # noqa: ARG002  (it is not shown)
+        def show(self, statuses: Mapping[str, GridJobStatus], left: float) -> None:  # noqa: ARG002  (it is not shown)
             if pid.exists():
                 raise KeyboardInterrupt
 
