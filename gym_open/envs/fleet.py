@@ -15,7 +15,7 @@ from gym_open.envs.jit import compiled
 from gym_open.envs.observation.raycast import Camera, Image, Shapes, Triangles
 from gym_open.envs.observation.scene import Drawing, Parts, draw
 from gym_open.envs.physics.native import address, pointer
-from gym_open.envs.physics.stepper import StepConstants, play, read_states
+from gym_open.envs.physics.stepper import StepConstants, read_states, simulate
 from gym_open.envs.world import World
 
 _IMAGES = ("still", "image")
@@ -29,7 +29,7 @@ _ADDRESSES = np.dtype([("parts", np.int64), *((name, np.int64) for name in _ARRA
 
 
 @compiled
-def play_and_draw(  # noqa: PLR0917  # compiled code takes arguments by position
+def step_and_draw(  # noqa: PLR0917  # compiled code takes arguments by position
     boards: np.ndarray,
     addresses: np.ndarray,
     first: int,
@@ -61,7 +61,7 @@ def play_and_draw(  # noqa: PLR0917  # compiled code takes arguments by position
         action = actions[i]
         if action < 0:
             continue
-        play(boards, i, pushes[action, 0], pushes[action, 1], substeps if action > 0 else 0, action > 0, constants)
+        simulate(boards, i, pushes[action, 0], pushes[action, 1], substeps if action > 0 else 0, action > 0, constants)
         read_states(boards, i, constants)
         board, drawing = boards[i], _drawing(addresses[i], triangles, camera)
         poses = carray(pointer(board.qpos), 7 * len(board.states), np.float64)
@@ -121,7 +121,7 @@ class Fleet:
         self._common = one.options.substeps, one.stepper.constants, one.drawing.triangles, one.drawing.camera
         self._pushes = c.MOVE_SPEED * np.array(c.MOVES, float)
 
-    def play(self, first: int, last: int, actions: np.ndarray, images: np.ndarray) -> None:
+    def step(self, first: int, last: int, actions: np.ndarray, images: np.ndarray) -> None:
         """Step worlds `first` to `last` − 1 by their `actions` (worlds,) int64; negative actions are left out.
 
         Their observations are written to `images` (worlds, height, width, 3). Other threads may step other worlds at
@@ -133,4 +133,4 @@ class Fleet:
                 arrays = *drawing.parts, *drawing.shapes, *drawing.still, *drawing.image
                 self._addresses[i] = len(drawing.parts.carrier), *(address(array) for array in arrays)
                 self._drawings[i] = drawing
-        play_and_draw(self.boards, self._addresses, first, last, actions, self._pushes, *self._common, images)
+        step_and_draw(self.boards, self._addresses, first, last, actions, self._pushes, *self._common, images)

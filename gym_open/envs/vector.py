@@ -24,7 +24,7 @@ from gym_open.envs.puzzles import Task
 from gym_open.envs.puzzles.generators import SandboxConfig
 from gym_open.errors import UsageError
 
-_TURNS = 4
+_PORTIONS = 4
 """Portions of worlds per thread and step: more portions balance the work better, fewer have less overhead."""
 
 
@@ -106,8 +106,8 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         self._begun = False
         self._threads = min(threads or _cores(), num_envs)
         self._pool = ThreadPoolExecutor(self._threads, "world")
-        size = -(-num_envs // (self._threads * _TURNS)) if self._threads > 1 else num_envs
-        self._shares = [(i, min(i + size, num_envs)) for i in range(0, num_envs, size)]
+        size = -(-num_envs // (self._threads * _PORTIONS)) if self._threads > 1 else num_envs
+        self._portions = [(i, min(i + size, num_envs)) for i in range(0, num_envs, size)]
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -160,7 +160,7 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         self._actions[:] = self._checked(actions)
         if self.autoreset_mode == AutoresetMode.NEXT_STEP:
             self._actions[self._ended()] = -1
-        self._in_threads(self._play)
+        self._in_threads(self._step_some)
         infos = self._all_infos(self._everyone)
         if self.autoreset_mode == AutoresetMode.SAME_STEP:
             for i in (self._terminations | self._truncations).nonzero()[0].tolist():
@@ -181,9 +181,9 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         for env in self.envs:
             env.close()
 
-    def _play(self, first: int, last: int) -> None:
+    def _step_some(self, first: int, last: int) -> None:
         """Step some of the worlds; worlds with a negative action are reset instead."""
-        self._fleet.play(first, last, self._actions, self._images)
+        self._fleet.step(first, last, self._actions, self._images)
         for i in range(first, last):
             if self._actions[i] < 0:
                 self._reset(i, None, {})
@@ -240,10 +240,10 @@ class OpenVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
 
     def _in_threads(self, work: Callable[[int, int], None]) -> None:
         """Call `work` for all worlds, one portion at a time, on all threads, and wait for the end."""
-        shares = iter(self._shares)
+        portions = iter(self._portions)
 
         def run() -> None:
-            for first, last in shares:  # the next free thread takes the next portion
+            for first, last in portions:  # the next free thread takes the next portion
                 work(first, last)
 
         others = [self._pool.submit(run) for _ in range(self._threads - 1)]

@@ -226,7 +226,7 @@ def _episodes(
             seen = np.stack([state_vector(envs[i].world) for i in running]) if states else images[running]
             chosen = np.full(n, -1)
             chosen[running] = choose(t, running, seen)
-            parts = [pool.submit(fleet.play, *ends, chosen, images) for ends in _shares(running, threads)]
+            parts = [pool.submit(fleet.step, *ends, chosen, images) for ends in _shares(running, threads)]
             for part in parts:
                 part.result()
             for i in running:

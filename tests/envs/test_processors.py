@@ -310,7 +310,7 @@ def test_compiled_code_fuses_nothing(avx2: dict[str, Any], sse: dict[str, Any]) 
     """It was compiled for a processor with FMA: a fused multiply-add rounds once, separate operations round twice."""
     for report, widest in ((avx2, "ymm"), (sse, "xmm")):
         code = report["code"]
-        assert {"play", "read_states", "draw", "play_and_draw"} <= {name.split("(")[0] for name in code}
+        assert {"simulate", "read_states", "draw", "step_and_draw"} <= {name.split("(")[0] for name in code}
         for name, what in code.items():
             assert not [word for word in what["instructions"] if _FUSED.match(word)], name
             assert all(register <= widest for register in what["registers"]), name

@@ -68,7 +68,7 @@ class StepConstants(NamedTuple):
 
 
 @compiled
-def play(  # noqa: PLR0917  # compiled code takes arguments by position
+def simulate(  # noqa: PLR0917  # compiled code takes arguments by position
     boards: np.ndarray, index: int, push_x: float, push_y: float, substeps: int, stop: bool, constants: StepConstants
 ) -> None:
     """Push the agent, simulate substeps, and stop the agent. A falling agent keeps falling, so that it cannot fly.
@@ -232,12 +232,12 @@ class Stepper:
 
     def step(self, push: tuple[float, float], substeps: int) -> StepOutcome:
         """Change the agent's velocity by `push` (m/s), simulate substeps, and stop the agent."""
-        play(self._boards, self._index, push[0], push[1], substeps, True, self.constants)
+        simulate(self._boards, self._index, push[0], push[1], substeps, True, self.constants)
         return self.outcome()
 
     def advance(self, substeps: int) -> StepOutcome:
         """Simulate zero or more substeps; nothing pushes or stops the agent."""
-        play(self._boards, self._index, 0.0, 0.0, substeps, False, self.constants)
+        simulate(self._boards, self._index, 0.0, 0.0, substeps, False, self.constants)
         return self.outcome()
 
     def outcome(self) -> StepOutcome:
