@@ -1,0 +1,47 @@
+"""Rules of the house that no linter knows: names are unique, tests mirror rooms, files and functions stay short."""
+
+import ast
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+from gym_open.workspace import template
+
+ROOT = template()
+PACKAGE = ROOT / "gym_open"
+MODULES = sorted(PACKAGE.rglob("*.py"))
+MODULE_LINES, FUNCTION_LINES = 400, 65
+
+
+def _classes(tree: ast.AST) -> Iterator[str]:
+    return (node.name for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
+
+
+def test_a_class_name_stands_in_one_file_only() -> None:
+    files = defaultdict[str, list[str]](list)
+    for module in MODULES:
+        for name in set(_classes(ast.parse(module.read_text()))):
+            files[name].append(module.relative_to(PACKAGE).as_posix())
+    assert {name: where for name, where in files.items() if len(where) > 1} == {}
+
+
+def test_tests_mirror_rooms() -> None:
+    """Each folder of tests has a room of the same name, and each room has tests."""
+    rooms = {path.name for path in PACKAGE.iterdir() if (path / "__init__.py").is_file()}
+    folders = {path.name for path in (ROOT / "tests").iterdir() if path.is_dir() and any(path.glob("**/test_*.py"))}
+    assert folders - {"packaging"} <= rooms
+    files = {path.stem.removeprefix("test_") for path in (ROOT / "tests").glob("test_*.py")}
+    assert rooms - folders - files == set()
+
+
+def test_modules_and_functions_are_short() -> None:
+    long = []
+    for module in MODULES:
+        text = module.read_text()
+        parts = [("", 1, len(text.splitlines()), MODULE_LINES)]
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                parts.append((f":{node.name}", node.lineno, node.end_lineno or node.lineno, FUNCTION_LINES))
+        where = module.relative_to(PACKAGE)
+        long += [f"{where}{name}: {end - start + 1}" for name, start, end, limit in parts if end - start + 1 > limit]
+    assert long == []
