@@ -3,7 +3,6 @@
 import ast
 from collections import defaultdict
 from collections.abc import Iterator
-from pathlib import Path
 
 from gym_open.workspace import template
 
@@ -37,11 +36,11 @@ def test_tests_mirror_rooms() -> None:
 def test_modules_and_functions_are_short() -> None:
     long = []
     for module in MODULES:
-        text = module.read_text()
-        parts = [("", 1, len(text.splitlines()), MODULE_LINES)]
+        where, text = module.relative_to(PACKAGE).as_posix(), module.read_text()
+        if (lines := len(text.splitlines())) > MODULE_LINES:
+            long.append(f"{where}: {lines}")
         for node in ast.walk(ast.parse(text)):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-                parts.append((f":{node.name}", node.lineno, node.end_lineno or node.lineno, FUNCTION_LINES))
-        where = module.relative_to(PACKAGE)
-        long += [f"{where}{name}: {end - start + 1}" for name, start, end, limit in parts if end - start + 1 > limit]
+                lines = (node.end_lineno or node.lineno) - node.lineno + 1
+                long += [f"{where}:{node.name}: {lines}"] if lines > FUNCTION_LINES else []
     assert long == []
