@@ -11,7 +11,12 @@ from gym_open.config import load
 from gym_open.workspace import STAGES, template
 
 ROOT = template()
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *(ROOT / stage / "README.md" for stage in STAGES)]
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *sorted((ROOT / "docs").rglob("*.md")),
+    *(ROOT / stage / "README.md" for stage in STAGES),
+]
 COMMAND = re.compile(r"(?:^ {4}|`|&& uv run |uv run )gym-open ([a-z]+(?: [a-z]+)?)([^`\n#|]*)", re.MULTILINE)
 
 
@@ -97,8 +102,7 @@ ELSEWHERE = {
     "ppo_atari.py",  # CleanRL's
     "message_publish_time",  # Rerun's timelines
     "ros2_timestamp",
-    "gym_open/agents/ae.py",  # an example of what a reader may add
-    "tests/agents/test_ae.py",
+    "gym_open/agents/change.py",  # an example of what a reader may add
 }
 """Names of other projects and of examples."""
 NAMES = re.compile(r"`([A-Za-z_][A-Za-z0-9_]*(?:\.[A-Za-z_][A-Za-z0-9_]*)*)(?:\(\))?`")
@@ -120,3 +124,10 @@ def test_every_identifier_that_is_named_exists(page: Path) -> None:
     }
     missing = {name for name in named if any(part not in CODE_WORDS for part in name.split("."))}
     assert missing <= ELSEWHERE
+
+
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "CHANGELOG.md"], ids=_page)
+def test_lines_are_at_most_120_characters_long(page: Path) -> None:
+    """Rows of tables aside, which Markdown cannot break."""
+    lines = page.read_text().splitlines()
+    assert [i for i, line in enumerate(lines, 1) if len(line) > 120 and not line.startswith("|")] == []
