@@ -102,7 +102,9 @@ ELSEWHERE = {
     "ppo_atari.py",  # CleanRL's
     "message_publish_time",  # Rerun's timelines
     "ros2_timestamp",
-    "gym_open/agents/change.py",  # an example of what a reader may add
+    "gym_open/agents/ae.py",  # examples of what a reader may add
+    "gym_open/agents/change.py",
+    "tests/agents/test_ae.py",
 }
 """Names of other projects and of examples."""
 NAMES = re.compile(r"`([A-Za-z_][A-Za-z0-9_]*(?:\.[A-Za-z_][A-Za-z0-9_]*)*)(?:\(\))?`")
