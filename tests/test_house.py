@@ -1,8 +1,11 @@
 """Rules of the house that no linter knows: names are unique, tests mirror rooms, files and functions stay short."""
 
 import ast
+import graphlib
 from collections import defaultdict
 from collections.abc import Iterator
+
+import grimp
 
 from gym_open.workspace import template
 
@@ -44,3 +47,10 @@ def test_modules_and_functions_are_short() -> None:
                 lines = (node.end_lineno or node.lineno) - node.lineno + 1
                 long += [f"{where}:{node.name}: {lines}"] if lines > FUNCTION_LINES else []
     assert long == []
+
+
+def test_no_module_imports_itself_through_others() -> None:
+    """For type checkers alone, too: a circle is hard to read whenever it is imported."""
+    graph = grimp.build_graph("gym_open", exclude_type_checking_imports=False)
+    imports = {module: graph.find_modules_directly_imported_by(module) for module in graph.modules}
+    graphlib.TopologicalSorter(imports).prepare()

@@ -15,9 +15,11 @@ from gym_open.datasets.writing.sources import (
     SourceStream,
     episodes_of_logs,
     held_logs,
+    shares_of,
     streams_of,
+    units_of,
 )
-from gym_open.datasets.writing.splits import Unit, assign, shares_of, unit_of, units_of
+from gym_open.datasets.writing.splits import Unit, assign, unit_of
 from gym_open.datasets.writing.tables import tables_of_logs
 from gym_open.datasets.writing.video import MAX_FRAMES
 from gym_open.datasets.writing.writer import ReleaseWriter, check_workers, complete

@@ -11,11 +11,11 @@ from gym_open import artefacts
 from gym_open.agents.config import ExplorerConfig
 from gym_open.datasets.config import ReleaseConfig
 from gym_open.datasets.writing.frames import LENGTH_CAP, numbers
-from gym_open.datasets.writing.splits import Unit, unit_of
+from gym_open.datasets.writing.splits import Share, Unit, unit_of
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases import Release, parquet
 from gym_open.formats.releases.features import Features, objects, schema
-from gym_open.formats.releases.layout import IMAGE, PART, Split, data_path
+from gym_open.formats.releases.layout import IMAGE, PART, SPLITS, Split, data_path
 from gym_open.formats.releases.schemas import EPISODE_ROW, content_features
 
 if TYPE_CHECKING:
@@ -61,6 +61,31 @@ class SourceStream(NamedTuple):
     parent: int
     """Number of its log artefact, in the order in which they were given."""
     explorer: str
+
+
+def units_of(config: ReleaseConfig, streams: Iterable[SourceStream]) -> set[Unit]:
+    """All visited worlds, or all streams, depending on `config.split_by`."""
+    return {
+        unit_of(config.split_by, stream.stream, stream.log.puzzles[switch.to_world].digest)
+        for stream in streams
+        for switch in stream.log.switches
+        if switch.to_world >= 0
+    }
+
+
+def shares_of(
+    config: ReleaseConfig, streams: Iterable[SourceStream], splits: Mapping[Unit, Split]
+) -> dict[Split, Share]:
+    """Number of episodes and frames of the streams by split. Only the switches are read for it."""
+    shares: dict[Split, Share] = {split: Share() for split in SPLITS}
+    for stream in streams:
+        for entered, left in zip(stream.log.switches, stream.log.switches[1:], strict=False):
+            steps = left.step - entered.step
+            pieces = max(1, -(-steps // config.max_episode_steps))
+            puzzle = stream.log.puzzles[entered.to_world].digest
+            split = splits[unit_of(config.split_by, stream.stream, puzzle)]
+            shares[split] = shares[split].plus(pieces, steps + pieces)
+    return shares
 
 
 def streams_of(logs: Sequence[Path], first_stream: int = 0) -> list[SourceStream]:

@@ -1,14 +1,10 @@
 """Assign worlds (or streams) to train and val. Splits never go by step, since neighbouring frames are near copies."""
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 from gym_open import seeding
-from gym_open.datasets.config import ReleaseConfig
-from gym_open.formats.releases.layout import SPLITS, Split
-
-if TYPE_CHECKING:
-    from gym_open.datasets.writing.sources import SourceStream
+from gym_open.formats.releases.layout import Split
 
 Unit = str
 """A unit is never in two splits: the digest of a layout, or the number of a stream."""
@@ -46,28 +42,3 @@ def assign(
     order = seeding.generator(seed, "release", "val").permutation(len(new))
     held = {new[i] for i in order[:count]}
     return {**known, **{unit: "val" if unit in held else "train" for unit in new}}
-
-
-def units_of(config: ReleaseConfig, streams: "Iterable[SourceStream]") -> set[Unit]:
-    """All visited worlds, or all streams, depending on `config.split_by`."""
-    return {
-        unit_of(config.split_by, stream.stream, stream.log.puzzles[switch.to_world].digest)
-        for stream in streams
-        for switch in stream.log.switches
-        if switch.to_world >= 0
-    }
-
-
-def shares_of(
-    config: ReleaseConfig, streams: "Iterable[SourceStream]", splits: Mapping[Unit, Split]
-) -> dict[Split, Share]:
-    """Number of episodes and frames of the streams by split. Only the switches are read for it."""
-    shares: dict[Split, Share] = {split: Share() for split in SPLITS}
-    for stream in streams:
-        for entered, left in zip(stream.log.switches, stream.log.switches[1:], strict=False):
-            steps = left.step - entered.step
-            pieces = max(1, -(-steps // config.max_episode_steps))
-            puzzle = stream.log.puzzles[entered.to_world].digest
-            split = splits[unit_of(config.split_by, stream.stream, puzzle)]
-            shares[split] = shares[split].plus(pieces, steps + pieces)
-    return shares

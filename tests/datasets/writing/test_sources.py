@@ -15,8 +15,7 @@ from gym_open.config import to_dict
 from gym_open.datasets import open_release
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import ReleaseConfig
-from gym_open.datasets.writing.sources import SourceStream, explorer_of
-from gym_open.datasets.writing.splits import shares_of
+from gym_open.datasets.writing.sources import SourceStream, explorer_of, shares_of
 from gym_open.formats.logs.schemas import Switch
 from gym_open.formats.releases.layout import Split
 
