@@ -8,14 +8,14 @@ from gym_open.envs.registration import ENV_IDS, PAPER_ENV_ID, register
 from gym_open.version import __version__
 
 if TYPE_CHECKING:
-    from gym_open.agents.encoder import Encoder
+    from gym_open.agents.encoder import ImageEncoder
 
 __all__ = ["ENV_IDS", "PAPER_ENV_ID", "__version__", "load_encoder"]
 
 register()
 
 
-def load_encoder(path: Path | str) -> "Encoder":
+def load_encoder(path: Path | str) -> "ImageEncoder":
     """Load the encoder in a folder: from `train encoder`, from a log, or fetched from the Hugging Face hub.
 
     `load_encoder(path).encode(images)` turns (B, 84, 84, 3) uint8 images into (B, features) float32.

@@ -10,7 +10,11 @@ from gym_open.precision import PrecisionSetting
 Width = Annotated[int, Meta(ge=1, le=16_384)]
 """Width of a layer. It is bounded, because a network is created from its file before its weights are checked."""
 Device = Literal["cpu", "cuda"]
-Architecture = Literal["cnn", "impala", "state"]
+Architecture = Literal["cnn", "impala", "slots", "keypoints", "state"]
+OBJECT_ENCODERS = ("slots", "keypoints")
+"""Architectures that find objects. They learn from exploration alone, and stay as they are while a policy learns."""
+BOXES = 15
+"""Boxes around the agent along each axis, in the features of such an encoder."""
 _NAME = r"(?!(?:random|oracle|human)\Z)[a-z0-9][a-z0-9+_-]{0,47}\Z"
 _NAME_IN_WORDS = (
     "a name of small letters, digits, +, _ and -, at most 48, and none of random, oracle and human, which are reserved"
@@ -27,11 +31,24 @@ class EncoderConfig(Config, frozen=True, kw_only=True):
     """`cnn` is the paper's three-layer network (Mnih et al. 2015), `impala` the deeper one of Espeholt et al. 2018.
     `state` is for policies that see the simulator state instead of images: it shows what learning from images costs."""
     features: Width = 512
-    """Width of the last layer."""
+    """Width of the last layer of `cnn`, `impala` and `state`."""
     pixel_scale: PositiveFloat = 20.0
     """Pixels minus the mean image are multiplied by this over 255. Objects are only four pixels wide."""
     centre: bool = True
     """Whether to subtract the mean image."""
+    slots: Annotated[int, Meta(ge=1, le=64)] = 12
+    """Number of maps of an architecture that finds objects: one for each colour or keypoint."""
+    readout: Literal["centroids", "grid", "both"] = "both"
+    """Features of an architecture that finds objects: places and masses of all slots, masses in boxes around the agent,
+    or both."""
+
+    @property
+    def width(self) -> int:
+        """Number of features that the encoder gives."""
+        if self.architecture not in OBJECT_ENCODERS:
+            return self.features
+        centroids, grid = 2 + 3 * self.slots, BOXES * BOXES * self.slots
+        return {"centroids": centroids, "grid": grid, "both": centroids + grid}[self.readout]
 
 
 class ImagePasses(NamedTuple):
@@ -99,6 +116,13 @@ class CurlConfig(WorldModelConfig, frozen=True, kw_only=True):
     """The loss of a world is multiplied by this before the curriculum compares it with its threshold."""
 
 
+class ObjectsConfig(WorldModelConfig, frozen=True, kw_only=True):
+    """Objects from exploration: colour slots or keypoints, and which of them is the agent."""
+
+    hidden: Width = 64
+    """Width of the inverse model's hidden layer."""
+
+
 class WorldModelSections(Config, frozen=True, kw_only=True):
     """One section per world model. The key `world_model` of the whole configuration says which section is used.
 
@@ -124,9 +148,10 @@ INTRINSIC_REWARDS = {
 }
 """Intrinsic rewards by name, with the module and class of each in `gym_open/agents/`."""
 if TYPE_CHECKING:  # type checkers cannot compute the names; at run time, configurations accept no others
-    WorldModelName = ExplorerModelName = RewardName = str
+    WorldModelName = ExplorerModelName = OfflineModelName = RewardName = str
 else:
     WorldModelName = Literal[WorldModelSections.__struct_fields__]
+    OfflineModelName = Literal[*WorldModelSections.__struct_fields__, "objects"]
     ExplorerModelName = Literal["none", *WorldModelSections.__struct_fields__]
     RewardName = Literal["none", *INTRINSIC_REWARDS]
 
@@ -196,6 +221,11 @@ class ExplorerConfig(WorldModelSections, frozen=True, kw_only=True):
             )
         if self.encoder.architecture == "state":
             raise ValueError("`encoder.architecture` 'state' is for policies on a task; explorers see images")
+        if self.encoder.architecture in OBJECT_ENCODERS:
+            raise ValueError(
+                f"`encoder.architecture` {self.encoder.architecture!r} is for `gym-open train encoder`, which needs a "
+                "finished exploration run; give cnn or impala"
+            )
         if self.ppo.anneal_lr:
             raise ValueError(
                 "`ppo.anneal_lr` needs to know where a run ends, but exploration may end before its budget is spent: "

@@ -31,11 +31,12 @@ class Curl(WorldModel):
     error_parts = ("error",)
     figures = ("accuracy",)
     _steps: Tensor
+    encoder: Encoder
 
     def __init__(self, encoder: Encoder, config: CurlConfig, n_actions: int, generator: torch.Generator) -> None:
         super().__init__(encoder, config, n_actions)
         self.config = config
-        linear = nn.Linear(encoder.config.features, config.latent)
+        linear = nn.Linear(encoder.config.width, config.latent)
         init_layer(linear, generator)
         self.projection = nn.Sequential(linear, nn.LayerNorm(config.latent))
         self.W = nn.Parameter(torch.rand(config.latent, config.latent, generator=generator))

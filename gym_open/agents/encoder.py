@@ -9,6 +9,7 @@ convolution of each residual block has a smaller gain, so that all six blocks to
 """
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from itertools import pairwise
 from typing import cast
@@ -111,29 +112,25 @@ def impala(features: int, generator: torch.Generator) -> nn.Sequential:
     return layers.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]  (missing in torch's stubs)
 
 
-class Encoder(nn.Module):
-    """From images to features: the network that `config.architecture` names, with another ReLU after the last layer.
+class ImageEncoder(nn.Module, ABC):
+    """Image to features.
 
     Attributes:
-        mean_image: is subtracted from each image, (3, 84, 84), in units of 0…255. It is zero until it is set, and
-            stays zero if the configuration says not to centre.
-        layers: the network itself, from prepared images (B, 3, 84, 84) to (B, features).
+        mean_image: subtracted from each image, (3, 84, 84), in units of 0…255; zero until it is set, and always if the
+            configuration says not to centre.
     """
 
     shape = IMAGE_SHAPE
-    """Shape of an input."""
+    """Of an observation."""
     dtype = torch.uint8
-    """Type of an input."""
+    """Of an observation."""
     mean_image: Tensor
 
-    def __init__(self, config: EncoderConfig, generator: torch.Generator) -> None:
+    def __init__(self, config: EncoderConfig) -> None:
         super().__init__()
         self.config = config
         height, width, channels = IMAGE_SHAPE
         self.register_buffer("mean_image", torch.zeros(channels, height, width))
-        deep = config.architecture == "impala"
-        layers = impala(config.features, generator) if deep else convolutions(config.features, nn.ReLU, generator)
-        self.layers = layers.append(nn.ReLU())
 
     def set_mean_image(self, images: Tensor) -> None:
         """Set the mean image to the mean of `images`, (N, 84, 84, 3) uint8.
@@ -141,8 +138,7 @@ class Encoder(nn.Module):
         Raises:
             ValueError: if there is no image, or the shape is wrong.
         """
-        if images.shape[1:] != IMAGE_SHAPE or len(images) == 0:
-            raise ValueError(f"images must have shape (N, 84, 84, 3) with N > 0, got {tuple(images.shape)}")
+        check_images(images)
         if not self.config.centre:
             return
         # Sums of integers are exact, so the mean does not depend on the order in which threads add.
@@ -152,6 +148,45 @@ class Encoder(nn.Module):
     def prepare(self, images: Tensor) -> Tensor:
         """`prepare_shifted` without a shift."""
         return self.prepare_shifted(images, no_shifts(len(images)))
+
+    @abstractmethod
+    def prepare_shifted(self, images: Tensor, shifts: Tensor) -> Tensor:
+        """What `forward` takes, of images (B, 84, 84, 3) uint8, each moved by its own shift, (B, 2) int64."""
+
+    @torch.no_grad()
+    def encode(self, images: Tensor | np.ndarray) -> Tensor:
+        """Features (B, `config.width`), fp32 and without gradient, of images (B, 84, 84, 3) uint8.
+
+        A tensor must be on the encoder's device; an array is copied there.
+
+        Raises:
+            ValueError: if `images` has another shape or type.
+        """
+        if images.shape[1:] != IMAGE_SHAPE or images.dtype not in (torch.uint8, np.uint8):
+            raise ValueError(f"images must be (B, 84, 84, 3) uint8, got {tuple(images.shape)} {images.dtype}")
+        if isinstance(images, np.ndarray):  # copied, since torch takes no read-only array, nor one that runs backwards
+            images = torch.from_numpy(np.array(images, order="C")).to(self.mean_image.device)
+        return self(self.prepare(images)).float()
+
+
+def check_images(images: Tensor) -> None:
+    """Raise ValueError unless there are images, (N, 84, 84, 3) with N > 0."""
+    if images.shape[1:] != IMAGE_SHAPE or len(images) == 0:
+        raise ValueError(f"images must have shape (N, 84, 84, 3) with N > 0, got {tuple(images.shape)}")
+
+
+class Encoder(ImageEncoder):
+    """The network that `config.architecture` names, with a ReLU after the last layer too.
+
+    Attributes:
+        layers: the network itself, (B, 3, 84, 84) prepared images to (B, features).
+    """
+
+    def __init__(self, config: EncoderConfig, generator: torch.Generator) -> None:
+        super().__init__(config)
+        deep = config.architecture == "impala"
+        layers = impala(config.features, generator) if deep else convolutions(config.features, nn.ReLU, generator)
+        self.layers = layers.append(nn.ReLU())
 
     def prepare_shifted(self, images: Tensor, shifts: Tensor) -> Tensor:
         """Centre and scale images, `(image − mean_image) · pixel_scale / 255`, then move each by its own shift.
@@ -172,21 +207,6 @@ class Encoder(nn.Module):
     def forward(self, prepared: Tensor) -> Tensor:
         """Features (B, features) of prepared images (B, 3, 84, 84)."""
         return through(self.layers, prepared)
-
-    @torch.no_grad()
-    def encode(self, images: Tensor | np.ndarray) -> Tensor:
-        """Features (B, features), fp32 and without gradient, of images (B, 84, 84, 3) uint8.
-
-        A tensor must be on the encoder's device; an array is copied there.
-
-        Raises:
-            ValueError: if `images` has another shape or type.
-        """
-        if images.shape[1:] != IMAGE_SHAPE or images.dtype not in (torch.uint8, np.uint8):
-            raise ValueError(f"images must be (B, 84, 84, 3) uint8, got {tuple(images.shape)} {images.dtype}")
-        if isinstance(images, np.ndarray):  # copied: torch refuses read-only arrays and negative strides
-            images = torch.from_numpy(np.array(images, order="C")).to(self.mean_image.device)
-        return self(self.prepare(images)).float()
 
 
 class StateEncoder(nn.Module):
@@ -216,9 +236,3 @@ class StateEncoder(nn.Module):
     def forward(self, prepared: Tensor) -> Tensor:
         """Features (B, features) of states (B, `STATE_SIZE`)."""
         return self.layers(prepared)
-
-
-def make_encoder(config: EncoderConfig, generator: torch.Generator) -> Encoder | StateEncoder:
-    """Create the untrained encoder that the configuration names."""
-    kind = StateEncoder if config.architecture == "state" else Encoder
-    return kind(config, generator)

@@ -26,12 +26,13 @@ class Icm(WorldModel):
     """Inverse and forward model over the encoder's normalised features."""
 
     figures = ("forward", "inverse", "inverse_accuracy")
+    encoder: Encoder
 
     def __init__(self, encoder: Encoder, config: IcmConfig, n_actions: int, generator: torch.Generator) -> None:
         super().__init__(encoder, config, n_actions)
         self.config = config
         self.error_parts = ("forward", "inverse") if config.eta_inverse else ("forward",)
-        width = encoder.config.features
+        width = encoder.config.width
         self.inverse = _two_layers(2 * width, config.hidden, n_actions, generator)
         self.predictor = _two_layers(width + n_actions, config.hidden, width, generator)
 

@@ -1,15 +1,18 @@
 """Policy and value heads on one encoder."""
 
+from collections.abc import Sequence
+from itertools import pairwise
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from gym_open.agents.encoder import Encoder, StateEncoder, init_layer
+from gym_open.agents.encoder import ImageEncoder, StateEncoder, init_layer
 from gym_open.errors import DivergedError
 
 
 class ActorCritic(nn.Module):
-    """An encoder with a linear policy head (gain 0.01) and a linear value head (gain 1), as in CleanRL's `Agent`.
+    """An encoder, a trunk, a linear policy head (gain 0.01), a linear value head (gain 1), as in CleanRL's `Agent`.
 
     A frozen encoder does not learn, so its features of an image never change. In this case, `observe` returns features,
     which are computed once, in place of images.
@@ -18,25 +21,39 @@ class ActorCritic(nn.Module):
         encoder: of images, or of simulator states.
         n_actions: width of the policy head.
         generator: source of the heads' weights.
+        trunk: widths of hidden layers with tanh between the encoder and the heads; none by default.
         frozen: whether the encoder does not learn.
     """
 
     def __init__(
-        self, encoder: Encoder | StateEncoder, n_actions: int, generator: torch.Generator, *, frozen: bool = False
+        self,
+        encoder: ImageEncoder | StateEncoder,
+        n_actions: int,
+        generator: torch.Generator,
+        *,
+        trunk: Sequence[int] = (),
+        frozen: bool = False,
     ) -> None:
         super().__init__()
         self.n_actions = n_actions
         self.frozen = frozen
         self.encoder = encoder.requires_grad_(not frozen)
-        self.actor = nn.Linear(encoder.config.features, n_actions)
-        self.critic = nn.Linear(encoder.config.features, 1)
+        self.widths = tuple(trunk)
+        self.trunk = nn.Sequential()
+        widths = [encoder.config.width, *trunk]
+        for inputs, outputs in pairwise(widths):
+            layer = nn.Linear(inputs, outputs)
+            init_layer(layer, generator)
+            self.trunk.extend([layer, nn.Tanh()])
+        self.actor = nn.Linear(widths[-1], n_actions)
+        self.critic = nn.Linear(widths[-1], 1)
         init_layer(self.actor, generator, std=0.01)
         init_layer(self.critic, generator, std=1.0)
 
     @property
     def obs_shape(self) -> tuple[int, ...]:
         """Shape of one observation that `observe` returns."""
-        return (self.encoder.config.features,) if self.frozen else self.encoder.shape
+        return (self.encoder.config.width,) if self.frozen else self.encoder.shape
 
     @property
     def obs_dtype(self) -> torch.dtype:
@@ -61,7 +78,8 @@ class ActorCritic(nn.Module):
 
     def heads(self, features: Tensor) -> tuple[Tensor, Tensor]:
         """Action logits (B, n_actions) and values (B,), fp32, of the encoder's features (B, features)."""
-        return self.actor(features).float(), self.critic(features).float().flatten()
+        hidden = self.trunk(features)
+        return self.actor(hidden).float(), self.critic(hidden).float().flatten()
 
     def get_value(self, prepared: Tensor) -> Tensor:
         """Values (B,) of B prepared observations."""

@@ -40,6 +40,7 @@ class Rnd(WorldModel):
     _watched: Tensor
     _sums: Tensor
     _squares: Tensor
+    encoder: Encoder
 
     def __init__(self, encoder: Encoder, config: RndConfig, n_actions: int, generator: torch.Generator) -> None:
         super().__init__(encoder, config, n_actions)
@@ -47,7 +48,7 @@ class Rnd(WorldModel):
         self.target = convolutions(config.outputs, lambda: nn.LeakyReLU(0.2), generator)
         self.target.requires_grad_(requires_grad=False)
         self.predictor = nn.Sequential(
-            nn.Linear(encoder.config.features, config.hidden), nn.ReLU(),
+            nn.Linear(encoder.config.width, config.hidden), nn.ReLU(),
             nn.Linear(config.hidden, config.hidden), nn.ReLU(),
             nn.Linear(config.hidden, config.outputs),
         )  # fmt: skip

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from gym_open.agents.augment import no_shifts
 from gym_open.agents.config import WorldModelConfig
-from gym_open.agents.encoder import Encoder
+from gym_open.agents.encoder import ImageEncoder
 
 
 class TransitionBatch(NamedTuple):
@@ -37,7 +37,7 @@ class WorldModel(nn.Module, ABC):
     error_parts: tuple[str, ...]
     figures: tuple[str, ...] = ()
 
-    def __init__(self, encoder: Encoder, config: WorldModelConfig, n_actions: int) -> None:
+    def __init__(self, encoder: ImageEncoder, config: WorldModelConfig, n_actions: int) -> None:
         super().__init__()
         self.encoder = encoder
         self.loss_scale = config.loss_scale

@@ -8,8 +8,9 @@ import msgspec
 import torch
 from torch import Tensor, nn
 
+from gym_open.agents.architectures import make_encoder, make_image_encoder
 from gym_open.agents.config import EncoderConfig, Width
-from gym_open.agents.encoder import Encoder, make_encoder
+from gym_open.agents.encoder import ImageEncoder
 from gym_open.agents.policy import ActorCritic
 from gym_open.artefacts import canonical_json, lineage
 from gym_open.errors import ArtefactError
@@ -36,6 +37,7 @@ class PolicyArchitecture(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     kind: Literal["policy"] = "policy"
     encoder: EncoderConfig
     n_actions: Width
+    trunk: tuple[Width, ...] = ()
 
 
 A = TypeVar("A", EncoderArchitecture, PolicyArchitecture)
@@ -52,26 +54,30 @@ def policy_folder(artefact: Path, step: int) -> Path:
     return artefact / "checkpoints" / f"{step:09d}"
 
 
-def save_encoder(folder: Path, encoder: Encoder) -> None:
+def save_encoder(folder: Path, encoder: ImageEncoder) -> None:
     """Write an encoder, including its mean image, into `folder`."""
     _save(folder, encoder, EncoderArchitecture(encoder=encoder.config))
 
 
-def load_encoder(artefact: Path) -> Encoder:
+def load_encoder(artefact: Path) -> ImageEncoder:
     """Read the encoder in the folder `artefact`; if that is a log, its explorer's encoder.
 
     Raises:
         ArtefactError: if a file is missing or damaged, or a tensor does not fit the architecture.
     """
     folder = encoder_folder(artefact)
-    encoder = Encoder(read_architecture(folder, EncoderArchitecture).encoder, torch.Generator())
+    encoder = make_image_encoder(read_architecture(folder, EncoderArchitecture).encoder, torch.Generator())
     _load_weights(folder / WEIGHTS, encoder)
     return encoder
 
 
 def save_policy(folder: Path, policy: ActorCritic) -> None:
     """Write a policy, including its encoder, into `folder`."""
-    _save(folder, policy, PolicyArchitecture(encoder=policy.encoder.config, n_actions=policy.n_actions))
+    _save(
+        folder,
+        policy,
+        PolicyArchitecture(encoder=policy.encoder.config, n_actions=policy.n_actions, trunk=policy.widths),
+    )
 
 
 def load_policy(artefact: Path) -> ActorCritic:
@@ -81,7 +87,9 @@ def load_policy(artefact: Path) -> ActorCritic:
         ArtefactError: if a file is missing or damaged, or a tensor does not fit the architecture.
     """
     found = read_architecture(artefact, PolicyArchitecture)
-    policy = ActorCritic(make_encoder(found.encoder, torch.Generator()), found.n_actions, torch.Generator())
+    policy = ActorCritic(
+        make_encoder(found.encoder, torch.Generator()), found.n_actions, torch.Generator(), trunk=found.trunk
+    )
     _load_weights(artefact / WEIGHTS, policy)
     return policy
 

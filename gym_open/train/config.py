@@ -3,11 +3,14 @@
 from typing import Literal
 
 from gym_open.agents.config import (
+    OBJECT_ENCODERS,
     AgentNameOrNone,
     Device,
     EncoderConfig,
+    ObjectsConfig,
+    OfflineModelName,
     PPOConfig,
-    WorldModelName,
+    Width,
     WorldModelSections,
 )
 from gym_open.config import Config, Count, PositiveFloat, PositiveInt, Seed
@@ -17,7 +20,7 @@ from gym_open.precision import PrecisionSetting
 class EncoderTrainConfig(WorldModelSections, frozen=True, kw_only=True):
     """Configuration of off-line training: a world model is learned from a release, and its encoder is kept."""
 
-    world_model: WorldModelName = "curl"
+    world_model: OfflineModelName = "curl"
     """World model that trains the encoder."""
     updates: PositiveInt = 400
     """Gradient steps."""
@@ -29,6 +32,8 @@ class EncoderTrainConfig(WorldModelSections, frozen=True, kw_only=True):
     """Largest random shift of the images, in pixels (Kostrikov et al. 2021); 0 for none."""
     report_every: PositiveInt = 100
     """Updates between two rows of the learning curve. A killed run continues from the last row."""
+    objects: ObjectsConfig = ObjectsConfig()
+    """Used if `world_model` is `objects`, which explorers do not have."""
     encoder: EncoderConfig = EncoderConfig()
     """The network."""
     precision: PrecisionSetting = "auto"
@@ -43,7 +48,12 @@ class EncoderTrainConfig(WorldModelSections, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         if self.encoder.architecture == "state":
-            raise ValueError("`encoder.architecture` 'state' takes no images; give cnn or impala")
+            raise ValueError("`encoder.architecture` 'state' takes no images; give cnn, impala, slots or keypoints")
+        if (self.world_model == "objects") != (self.encoder.architecture in OBJECT_ENCODERS):
+            raise ValueError(
+                f"`world_model` 'objects' needs `encoder.architecture` slots or keypoints, and only it takes these; "
+                f"got {self.world_model!r} with {self.encoder.architecture!r}"
+            )
 
 
 Transfer = Literal["scaled", "weights", "convolutions"]
@@ -71,6 +81,10 @@ class PolicyTrainConfig(Config, frozen=True, kw_only=True):
     transfer: Transfer = "scaled"
     """What a policy takes from an encoder: its `weights` unchanged; `scaled`, the same weights, scaled so that features
     are as large as those of an untrained encoder; or only its `convolutions`, with a fresh last layer."""
+    trunk: tuple[Width, ...] = ()
+    """Widths of hidden layers, with tanh, between the encoder and the linear heads."""
+    encoder_learning_rate: PositiveFloat | None = None
+    """Adam's step size for the encoder, if it is another than `ppo.learning_rate`."""
     frozen: bool = False
     """Keep the encoder unchanged and learn only the heads, from unshifted images."""
     ppo: PPOConfig = PPOConfig()
@@ -81,6 +95,13 @@ class PolicyTrainConfig(Config, frozen=True, kw_only=True):
     """Threads. They are part of the configuration because their number may change the last bits."""
     seed: Seed = 0
     """Root seed."""
+
+    def __post_init__(self) -> None:
+        if self.encoder.architecture in OBJECT_ENCODERS and not self.frozen:
+            raise ValueError(
+                f"`frozen` must be true for `encoder.architecture` {self.encoder.architecture!r}: its features have no "
+                "gradients, got false"
+            )
 
 
 class ProbeConfig(Config, frozen=True, kw_only=True):

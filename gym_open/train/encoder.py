@@ -9,8 +9,9 @@ import torch
 from msgspec import structs
 
 from gym_open import artefacts, progress, seeding
+from gym_open.agents.architectures import make_image_encoder
 from gym_open.agents.augment import draw_shifts
-from gym_open.agents.encoder import Encoder, autocast
+from gym_open.agents.encoder import autocast
 from gym_open.agents.threads import set_threads
 from gym_open.agents.world_model import TransitionBatch
 from gym_open.agents.world_models import make_world_model
@@ -98,7 +99,7 @@ class _EncoderTrainer:
                 f"batch_size = {config.batch_size}; collect more steps, or give a smaller batch_size"
             )
         init = self._torch_generator("init")
-        encoder = Encoder(config.encoder, init)
+        encoder = make_image_encoder(config.encoder, init)
         frames = pictures.release.split("train")
         self.frames = len(frames)
         spread = np.linspace(0, len(frames) - 1, min(len(frames), FIRST_IMAGES)).astype(np.int64)

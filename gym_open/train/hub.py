@@ -50,8 +50,14 @@ class HubEncoder(
 
         Raises:
             ArtefactError: if a file is missing or damaged.
+            UsageError: if the encoder finds objects; the hub's class is the network `Encoder`.
         """
         source = load_encoder(artefact)
+        if not isinstance(source, Encoder):
+            raise UsageError(
+                f"{artefact}: an encoder of architecture {source.config.architecture!r} cannot be sent to a hub by "
+                "this version; give one of architecture cnn or impala"
+            )
         made = cls(encoder=source.config)
         made.load_state_dict(source.state_dict())
         return made

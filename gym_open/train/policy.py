@@ -9,7 +9,8 @@ import torch
 from msgspec import structs
 
 from gym_open import artefacts, progress, seeding
-from gym_open.agents.encoder import Encoder, StateEncoder, autocast, make_encoder
+from gym_open.agents.architectures import make_encoder
+from gym_open.agents.encoder import Encoder, ImageEncoder, StateEncoder, autocast
 from gym_open.agents.policy import ActorCritic
 from gym_open.agents.ppo import PPOStats, Rollout, ppo_update
 from gym_open.agents.threads import set_threads
@@ -172,10 +173,11 @@ class _PolicyTrainer:
         self.folder = folder
         self.saved = folder / artefacts.SCRATCH / "state.safetensors"
         network = self._encoder(encoder)
-        self.agent = ActorCritic(network, N_ACTIONS, self._torch_generator("heads"), frozen=config.frozen)
+        self.agent = ActorCritic(
+            network, N_ACTIONS, self._torch_generator("heads"), trunk=config.trunk, frozen=config.frozen
+        )
         self.agent.to(config.device)
-        learned = [parameter for parameter in self.agent.parameters() if parameter.requires_grad]
-        self.optimizer = torch.optim.Adam(learned, lr=config.ppo.learning_rate, eps=1e-5, fused=True)
+        self.optimizer = torch.optim.Adam(self._groups(), lr=config.ppo.learning_rate, eps=1e-5, fused=True)
         self.acting, self.updating = self._torch_generator("actions"), self._torch_generator("update")
         states = isinstance(network, StateEncoder)
         self.environments = TrainingEnvironments(
@@ -186,13 +188,25 @@ class _PolicyTrainer:
         self.batch_size = config.num_envs * config.num_steps
         self.num_updates = -(-config.steps // self.batch_size)
 
+    def _groups(self) -> list[dict[str, Any]]:
+        """Parameters that learn. Those of the encoder are a group of their own if it has a learning rate of its own."""
+        own = self.config.encoder_learning_rate
+        apart = {} if own is None else dict.fromkeys(self.agent.encoder.parameters())
+        learned = [parameter for parameter in self.agent.parameters() if parameter.requires_grad]
+        groups = [
+            {"params": [one for one in learned if one not in apart], "start": self.config.ppo.learning_rate},
+            {"params": [one for one in learned if one in apart], "start": own, "lr": own},
+        ]
+        return [group for group in groups if group["params"]]
+
     def _torch_generator(self, name: str) -> torch.Generator:
         return torch.Generator().manual_seed(seeding.integer(self.config.seed, "policy", name))
 
-    def _encoder(self, artefact: Path | None) -> Encoder | StateEncoder:
+    def _encoder(self, artefact: Path | None) -> ImageEncoder | StateEncoder:
         if artefact is not None:
             taught = load_encoder(artefact)
-            take_over(taught, self.config.transfer, first_images(self.config), self._torch_generator("encoder"))
+            if isinstance(taught, Encoder):  # the features of objects have one scale
+                take_over(taught, self.config.transfer, first_images(self.config), self._torch_generator("encoder"))
             return taught
         encoder = make_encoder(self.config.encoder, self._torch_generator("encoder"))
         if isinstance(encoder, Encoder) and self.config.encoder.centre:
@@ -214,7 +228,8 @@ class _PolicyTrainer:
         with progress.bar("train policy", self.num_updates * self.batch_size, done=self.step) as bar:
             while len(self.rows) < self.num_updates:
                 frac = 1.0 - len(self.rows) / self.num_updates if ppo.anneal_lr else 1.0
-                self.optimizer.param_groups[0]["lr"] = frac * ppo.learning_rate
+                for group in self.optimizer.param_groups:
+                    group["lr"] = frac * group["start"]
                 try:
                     rollout, episodes = self.collect(bar)
                     stats = ppo_update(self.agent, self.optimizer, rollout, ppo, self.updating)

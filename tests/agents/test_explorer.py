@@ -20,7 +20,7 @@ from gym_open.agents.config import (
     RndConfig,
     WorldModelName,
 )  # fmt: skip
-from gym_open.agents.encoder import Encoder, StateEncoder
+from gym_open.agents.encoder import Encoder, ImageEncoder, StateEncoder
 from gym_open.agents.explorer import Acted, Explorer, LearnedRollout
 from gym_open.agents.rewards import make_reward
 from gym_open.agents.world_model import TransitionBatch
@@ -60,7 +60,8 @@ def play(one: Explorer, seen: Tensor) -> tuple[list[Acted], LearnedRollout]:
     return acted, one.learn(seen, acted)
 
 
-def first_weights(encoder: Encoder | StateEncoder) -> Tensor:
+def first_weights(encoder: ImageEncoder | StateEncoder) -> Tensor:
+    assert isinstance(encoder, Encoder)
     return encoder.layers[0].get_parameter("weight").detach().clone()
 
 

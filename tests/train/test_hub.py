@@ -12,7 +12,7 @@ import torch
 
 from gym_open import artefacts
 from gym_open.agents.config import CurlConfig, EncoderConfig
-from gym_open.agents.encoder import Encoder
+from gym_open.agents.encoder import ImageEncoder
 from gym_open.errors import ArtefactError, GymOpenError, UsageError
 from gym_open.formats.models import load_encoder
 from gym_open.train.config import EncoderTrainConfig
@@ -61,7 +61,7 @@ def hub(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     return there
 
 
-def same(one: Encoder, other: Encoder) -> None:
+def same(one: ImageEncoder, other: ImageEncoder) -> None:
     assert one.config == other.config
     assert torch.equal(one.encode(IMAGES), other.encode(IMAGES))
 

@@ -11,7 +11,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from gym_open import artefacts, progress, seeding
-from gym_open.agents.encoder import Encoder
+from gym_open.agents.architectures import make_image_encoder
+from gym_open.agents.encoder import ImageEncoder
 from gym_open.agents.threads import threads
 from gym_open.artefacts import Lineage
 from gym_open.envs.constants import MOVES as DIRECTIONS
@@ -93,13 +94,13 @@ def logged_puzzles(lineage: Lineage) -> set[str]:
     return own.union(*(logged_puzzles(parent.lineage) for parent in lineage.parents))
 
 
-def score(config: ProbeConfig, trained: Encoder, samples: Mapping[str, ProbeSample]) -> dict[str, dict[str, Any]]:
+def score(config: ProbeConfig, trained: ImageEncoder, samples: Mapping[str, ProbeSample]) -> dict[str, dict[str, Any]]:
     """The value of `targets` in probe.json."""
     resamples = resample(len(samples["test"].images), seeding.generator(config.seed, "probe", "resamples"))
     found: dict[str, ProbeResult] = {}
     with progress.bar("probe", 1 + config.untrained + config.pixels) as bar:
 
-        def look(encoder: Encoder | None) -> ProbeResult:
+        def look(encoder: ImageEncoder | None) -> ProbeResult:
             with threads(config.threads):
                 features = {part: _features(encoder, sample.images) for part, sample in samples.items()}
             looked = _look(config, features, samples, resamples)
@@ -135,14 +136,14 @@ def _mean(found: list[ProbeResult]) -> ProbeResult:
     return ProbeResult(scores, {body: float(np.mean([one.cells[body] for one in found])) for body in BODIES})
 
 
-def _untrained(config: ProbeConfig, trained: Encoder, number: int) -> Encoder:
+def _untrained(config: ProbeConfig, trained: ImageEncoder, number: int) -> ImageEncoder:
     init = torch.Generator().manual_seed(seeding.integer(config.seed, "probe", "untrained", number))
-    encoder = Encoder(trained.config, init)
+    encoder = make_image_encoder(trained.config, init)
     encoder.mean_image.copy_(trained.mean_image)
     return encoder
 
 
-def _features(encoder: Encoder | None, images: Tensor) -> Tensor:
+def _features(encoder: ImageEncoder | None, images: Tensor) -> Tensor:
     """(W, T + 1, D) features in fp64 of images (W, T + 1, 84, 84, 3); without an encoder, the pixels as they are."""
     if encoder is None:
         return images.flatten(2)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import numpy as np
     import rerun as rr
 
-    from gym_open.agents.encoder import Encoder
+    from gym_open.agents.encoder import ImageEncoder
 
 _BATCH = 250
 TRAINED, UNTRAINED = "trained", "untrained"
@@ -69,14 +69,14 @@ def view(config: VizConfig, source: Path, choice: Choice) -> View:  # noqa: ARG0
     return View(f"features of {name}", fill, layout.blueprint((TRAINED, UNTRAINED), curve=curve is not None))
 
 
-def _load(source: Path) -> "Encoder":
-    from gym_open.agents.encoder import Encoder
+def _load(source: Path) -> "ImageEncoder":
+    from gym_open.agents.encoder import ImageEncoder
     from gym_open.formats.models import load_encoder, load_policy
 
     if artefacts.lineage(source).kind != "policy":
         return load_encoder(source)
     encoder = load_policy(source).encoder
-    if not isinstance(encoder, Encoder):
+    if not isinstance(encoder, ImageEncoder):
         raise ArtefactError(
             f"{source}: its policy gets the simulator state instead of images, so it has no features of images; give "
             "a policy that gets images"
@@ -84,18 +84,18 @@ def _load(source: Path) -> "Encoder":
     return encoder
 
 
-def _untrained(trained: "Encoder") -> "Encoder":
+def _untrained(trained: "ImageEncoder") -> "ImageEncoder":
     """The same network with freshly drawn weights, and with the trained network's mean image."""
     import torch
 
-    from gym_open.agents.encoder import Encoder
+    from gym_open.agents.architectures import make_image_encoder
 
-    encoder = Encoder(trained.config, torch.Generator().manual_seed(seeding.integer(0, "viz", "untrained")))
+    encoder = make_image_encoder(trained.config, torch.Generator().manual_seed(seeding.integer(0, "viz", "untrained")))
     encoder.mean_image.copy_(trained.mean_image)
     return encoder
 
 
-def _features(encoder: "Encoder", images: "np.ndarray") -> "np.ndarray":
+def _features(encoder: "ImageEncoder", images: "np.ndarray") -> "np.ndarray":
     """(n, D) float32 features of images (n, 84, 84, 3)."""
     import numpy as np
 

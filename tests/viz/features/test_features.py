@@ -10,8 +10,9 @@ import rerun as rr
 import torch
 
 from gym_open import artefacts
+from gym_open.agents.architectures import make_encoder
 from gym_open.agents.config import EncoderConfig
-from gym_open.agents.encoder import Encoder, make_encoder
+from gym_open.agents.encoder import Encoder
 from gym_open.agents.policy import ActorCritic
 from gym_open.config import Config
 from gym_open.datasets.build import build_release

@@ -1,0 +1,90 @@
+"""What finds objects: which slot is the agent, learned from which action was taken.
+
+    p = Σ_k softmax(α)_k · centroid_k,     loss = CE(inverse(p, p′ − p), action) [+ reconstruction, of keypoints]
+
+The slot whose centroid tells the action best is the agent's: nothing else in the world moves with each action. The
+inverse model is that of ICM (Pathak et al. 2017), on four numbers instead of two vectors of features.
+"""
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from gym_open.agents.config import ObjectsConfig
+from gym_open.agents.encoder import init_layer
+from gym_open.agents.objects.encoders import KeypointEncoder, ObjectEncoder, SlotEncoder
+from gym_open.agents.objects.readout import LENGTH, MIDDLE, centroids
+from gym_open.agents.world_model import TransitionBatch, WorldModel
+
+_KEEP = 0.95
+"""Share of the running mean of each map that a gradient step keeps."""
+
+
+class Objects(WorldModel):
+    """An inverse model over the agent's centroid; with keypoints, a reconstruction as well."""
+
+    figures = ("inverse", "inverse_accuracy", "agent_share", "reconstruction")
+    error_parts = ("inverse",)
+    encoder: ObjectEncoder
+
+    def __init__(
+        self, encoder: ObjectEncoder, config: ObjectsConfig, n_actions: int, generator: torch.Generator
+    ) -> None:
+        super().__init__(encoder, config, n_actions)
+        first, last = nn.Linear(4, config.hidden), nn.Linear(config.hidden, n_actions)
+        init_layer(first, generator)
+        init_layer(last, generator, std=1.0)
+        self.inverse = nn.Sequential(first, nn.ReLU(), last)
+        self._seed = generator.initial_seed()
+
+    def watch(self, images: Tensor) -> None:
+        """Group the colours of `images`, (N, 84, 84, 3) uint8, before anything is learned."""
+        if isinstance(self.encoder, SlotEncoder):
+            self.encoder.fit_colours(images, np.random.default_rng(self._seed))
+
+    def measure(
+        self,
+        transitions: TransitionBatch,
+        shifts: Tensor,  # noqa: ARG002  (places must not move)
+        generator: torch.Generator,  # noqa: ARG002
+        features: Tensor | None = None,  # noqa: ARG002  (the readout has no gradients)
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """Cross-entropy of the action, plus the reconstruction's error for keypoints; and how well each goes."""
+        maps, reconstruction = self._maps(torch.cat([transitions.obs, transitions.next_obs]))
+        logits = self._action_logits(maps)
+        inverse = F.cross_entropy(logits, transitions.actions)
+        named = (logits.argmax(dim=1) == transitions.actions).float().mean()
+        share = self.encoder.agent_shares.max()
+        values = (inverse, named, share, reconstruction)
+        return inverse + reconstruction, dict(zip(self.figures, (value.detach() for value in values), strict=True))
+
+    def _maps(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """Maps (B, 42, 42, K), with gradients if the encoder learns them, and the reconstruction's error."""
+        encoder = self.encoder
+        if not isinstance(encoder, KeypointEncoder):
+            return encoder.maps(images), torch.zeros(())
+        shares = encoder.shares(images)
+        mean = shares.mean(dim=(0, 1, 2))
+        if torch.is_grad_enabled():
+            encoder.mean_map.mul_(_KEEP).add_((1 - _KEEP) * mean.detach())
+        return encoder.standing_out(shares, mean), encoder.reconstruction(shares, images)
+
+    def _action_logits(self, maps: Tensor) -> Tensor:
+        """Logits (B, n_actions) of the actions between the first and the second half of the maps."""
+        _, places = centroids(maps)
+        agent = (places * self.encoder.agent_shares[:, None]).sum(dim=1)
+        before, after = agent.chunk(2)
+        return self.inverse(torch.cat([(before - MIDDLE) / LENGTH, after - before], dim=1))
+
+    @torch.no_grad()
+    def errors(self, transitions: TransitionBatch) -> dict[str, Tensor]:
+        """Cross-entropy of each action, (B,)."""
+        maps = self.encoder.maps(torch.cat([transitions.obs, transitions.next_obs]))
+        return {"inverse": F.cross_entropy(self._action_logits(maps), transitions.actions, reduction="none")}
+
+    @torch.no_grad()
+    def latent(self, images: Tensor, features: Tensor | None = None) -> Tensor:  # noqa: ARG002
+        """Centroids of all slots in cells, each weighed by mass / (mass + ½), (B, 2 K)."""
+        mass, places = centroids(self.encoder.maps(images))
+        return ((places - MIDDLE) * (mass / (mass + 0.5))[..., None]).flatten(1)
