@@ -151,7 +151,7 @@ class ImageEncoder(nn.Module, ABC):
 
     @abstractmethod
     def prepare_shifted(self, images: Tensor, shifts: Tensor) -> Tensor:
-        """What `forward` takes, of images (B, 84, 84, 3) uint8, each moved by its own shift, (B, 2) int64."""
+        """Input of `forward` for images (B, 84, 84, 3) uint8, each moved by its own shift, (B, 2) int64."""
 
     @torch.no_grad()
     def encode(self, images: Tensor | np.ndarray) -> Tensor:

@@ -57,7 +57,7 @@ class ObjectEncoder(ImageEncoder, ABC):
         return (SHARPNESS * self.agent_logits).softmax(dim=0)
 
     def set_mean_image(self, images: Tensor) -> None:
-        """Let the median of `images`, (N, 84, 84, 3) uint8, be the background: the mean would hold faint objects.
+        """Set the background to the median of `images`, (N, 84, 84, 3) uint8. The mean would show faint objects.
 
         Raises:
             ValueError: if there is no image or their shape is another one.

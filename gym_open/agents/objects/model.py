@@ -1,4 +1,4 @@
-"""What finds objects: which slot is the agent, learned from which action was taken.
+"""The world model of objects: an inverse model learns which slot is the agent.
 
     p = Σ_k softmax(α)_k · centroid_k,     loss = CE(inverse(p, p′ − p), action) [+ reconstruction, of keypoints]
 
