@@ -13,6 +13,8 @@ Device = Literal["cpu", "cuda"]
 Architecture = Literal["cnn", "impala", "slots", "keypoints", "state"]
 OBJECT_ENCODERS = ("slots", "keypoints")
 """Architectures that find objects. They learn from exploration alone, and stay as they are while a policy learns."""
+SYMMETRIES = 8
+"""Reflections and quarter turns of the table."""
 BOXES = 15
 """Boxes around the agent along each axis, in the features of such an encoder."""
 _NAME = r"(?!(?:random|oracle|human)\Z)[a-z0-9][a-z0-9+_-]{0,47}\Z"
@@ -38,6 +40,9 @@ class EncoderConfig(Config, frozen=True, kw_only=True):
     """Whether to subtract the mean image."""
     slots: Annotated[int, Meta(ge=1, le=64)] = 12
     """Number of maps of an architecture that finds objects: one for each colour or keypoint."""
+    frame: Literal["table", "image"] = "table"
+    """Where the features of such an architecture say that things are: on the table, as the agent's own moves measure
+    it, or in the image."""
     readout: Literal["centroids", "grid", "both"] = "both"
     """Features of an architecture that finds objects: places and masses of all slots, masses in boxes around the agent,
     or both."""
@@ -47,8 +52,19 @@ class EncoderConfig(Config, frozen=True, kw_only=True):
         """Number of features that the encoder gives."""
         if self.architecture not in OBJECT_ENCODERS:
             return self.features
-        centroids, grid = 2 + 3 * self.slots, BOXES * BOXES * self.slots
+        centroids, grid = 4 + 3 * self.slots, BOXES * BOXES * self.slots
         return {"centroids": centroids, "grid": grid, "both": centroids + grid}[self.readout]
+
+
+def check_symmetric(encoder: EncoderConfig, trunk: tuple[int, ...]) -> None:
+    """Raise ValueError unless a trunk of these widths on this encoder can have the symmetries of the table."""
+    if encoder.architecture not in OBJECT_ENCODERS or encoder.frame != "table":
+        raise ValueError(
+            "`symmetric` needs features that are places on the table: `encoder.architecture` slots or keypoints with "
+            f"`encoder.frame` table, got {encoder.architecture!r} and {encoder.frame!r}"
+        )
+    if not trunk or any(width % SYMMETRIES for width in trunk):
+        raise ValueError(f"`symmetric` needs a `trunk` of widths that are multiples of 8, got {list(trunk)}")
 
 
 class ImagePasses(NamedTuple):

@@ -21,6 +21,7 @@ from torch import Tensor, nn
 from gym_open.agents import convolve
 from gym_open.agents.augment import no_shifts, shift_each
 from gym_open.agents.config import EncoderConfig
+from gym_open.agents.symmetry import Turns
 from gym_open.agents.threads import through
 from gym_open.envs.state import STATE_SIZE
 from gym_open.precision import PrecisionSetting, resolve
@@ -124,6 +125,8 @@ class ImageEncoder(nn.Module, ABC):
     """Of an observation."""
     dtype = torch.uint8
     """Of an observation."""
+    turns: Turns | None = None
+    """What the symmetries of the table do to the features; None if that is no permutation."""
     mean_image: Tensor
 
     def __init__(self, config: EncoderConfig) -> None:
@@ -216,6 +219,8 @@ class StateEncoder(nn.Module):
     """Shape of an input."""
     dtype = torch.float32
     """Type of an input."""
+    turns: Turns | None = None
+    """The features are no places, so symmetries do not permute them."""
 
     def __init__(self, config: EncoderConfig, generator: torch.Generator) -> None:
         super().__init__()

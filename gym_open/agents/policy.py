@@ -7,12 +7,16 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from gym_open.agents.config import SYMMETRIES
 from gym_open.agents.encoder import ImageEncoder, StateEncoder, init_layer
+from gym_open.agents.symmetry import GroupActor, GroupCritic, GroupLayer, Lift
 from gym_open.errors import DivergedError
 
 
 class ActorCritic(nn.Module):
     """An encoder, a trunk, a linear policy head (gain 0.01), a linear value head (gain 1), as in CleanRL's `Agent`.
+
+    With `symmetric`, trunk and heads have the symmetries of the table (`symmetry`).
 
     A frozen encoder does not learn, so its features of an image never change. In this case, `observe` returns features,
     which are computed once, in place of images.
@@ -22,6 +26,8 @@ class ActorCritic(nn.Module):
         n_actions: width of the policy head.
         generator: source of the heads' weights.
         trunk: widths of hidden layers with tanh between the encoder and the heads; none by default.
+        symmetric: whether trunk and heads have the table's symmetries. The trunk then has two layers or more, each of
+            a multiple of 8 units, and the encoder has `turns`.
         frozen: whether the encoder does not learn.
     """
 
@@ -32,23 +38,18 @@ class ActorCritic(nn.Module):
         generator: torch.Generator,
         *,
         trunk: Sequence[int] = (),
+        symmetric: bool = False,
         frozen: bool = False,
     ) -> None:
         super().__init__()
         self.n_actions = n_actions
         self.frozen = frozen
         self.encoder = encoder.requires_grad_(not frozen)
-        self.widths = tuple(trunk)
-        self.trunk = nn.Sequential()
-        widths = [encoder.config.width, *trunk]
-        for inputs, outputs in pairwise(widths):
-            layer = nn.Linear(inputs, outputs)
-            init_layer(layer, generator)
-            self.trunk.extend([layer, nn.Tanh()])
-        self.actor = nn.Linear(widths[-1], n_actions)
-        self.critic = nn.Linear(widths[-1], 1)
-        init_layer(self.actor, generator, std=0.01)
-        init_layer(self.critic, generator, std=1.0)
+        self.widths, self.symmetric = tuple(trunk), symmetric
+        if symmetric:
+            self.trunk, self.actor, self.critic = _symmetric_layers(encoder, trunk, generator)
+        else:
+            self.trunk, self.actor, self.critic = _plain_layers(encoder.config.width, trunk, n_actions, generator)
 
     @property
     def obs_shape(self) -> tuple[int, ...]:
@@ -113,3 +114,31 @@ class ActorCritic(nn.Module):
             action = torch.multinomial(probs.cpu(), 1, generator=generator).flatten().to(logits.device)
         entropy = -(probs * logprobs).sum(dim=1)
         return action, logprobs.gather(1, action[:, None]).flatten(), entropy, value
+
+
+def _plain_layers(
+    features: int, trunk: Sequence[int], n_actions: int, generator: torch.Generator
+) -> tuple[nn.Sequential, nn.Module, nn.Module]:
+    """Trunk, policy head and value head of linear layers."""
+    layers, widths = nn.Sequential(), [features, *trunk]
+    for inputs, outputs in pairwise(widths):
+        layer = nn.Linear(inputs, outputs)
+        init_layer(layer, generator)
+        layers.extend([layer, nn.Tanh()])
+    actor, critic = nn.Linear(widths[-1], n_actions), nn.Linear(widths[-1], 1)
+    init_layer(actor, generator, std=0.01)
+    init_layer(critic, generator, std=1.0)
+    return layers, actor, critic
+
+
+def _symmetric_layers(
+    encoder: ImageEncoder | StateEncoder, trunk: Sequence[int], generator: torch.Generator
+) -> tuple[nn.Sequential, nn.Module, nn.Module]:
+    """The same with the symmetries of the table."""
+    if encoder.turns is None:
+        raise ValueError(f"features of architecture {encoder.config.architecture!r} have no symmetries")
+    filters = [width // SYMMETRIES for width in trunk]
+    layers = nn.Sequential(Lift(encoder.turns, filters[0], generator), nn.Tanh())
+    for inputs, outputs in pairwise(filters):
+        layers.extend([GroupLayer(inputs, outputs, generator), nn.Tanh()])
+    return layers, GroupActor(filters[-1], generator, std=0.01), GroupCritic(filters[-1], generator, std=1.0)

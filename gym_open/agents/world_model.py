@@ -86,6 +86,10 @@ class WorldModel(nn.Module, ABC):
     def stepped(self) -> None:
         """Update slow copies of networks. The learner calls this after each gradient step."""
 
+    def finish(self, transitions: TransitionBatch) -> dict[str, float]:  # noqa: ARG002
+        """Learn from `transitions`, on the CPU, what needs the finished model; return facts about it, by name."""
+        return {}
+
     def unshifted(self, images: Tensor) -> Tensor:
         """The encoder's features (B, features) of unshifted images (B, 84, 84, 3) uint8."""
         return self.features(images, no_shifts(len(images)))

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from gym_open.agents.architectures import make_encoder, make_image_encoder
-from gym_open.agents.config import EncoderConfig, Width
+from gym_open.agents.config import EncoderConfig, Width, check_symmetric
 from gym_open.agents.encoder import ImageEncoder
 from gym_open.agents.policy import ActorCritic
 from gym_open.artefacts import canonical_json, lineage
@@ -38,6 +38,11 @@ class PolicyArchitecture(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     encoder: EncoderConfig
     n_actions: Width
     trunk: tuple[Width, ...] = ()
+    symmetric: bool = False
+
+    def __post_init__(self) -> None:
+        if self.symmetric:
+            check_symmetric(self.encoder, self.trunk)
 
 
 A = TypeVar("A", EncoderArchitecture, PolicyArchitecture)
@@ -73,11 +78,10 @@ def load_encoder(artefact: Path) -> ImageEncoder:
 
 def save_policy(folder: Path, policy: ActorCritic) -> None:
     """Write a policy, including its encoder, into `folder`."""
-    _save(
-        folder,
-        policy,
-        PolicyArchitecture(encoder=policy.encoder.config, n_actions=policy.n_actions, trunk=policy.widths),
+    architecture = PolicyArchitecture(
+        encoder=policy.encoder.config, n_actions=policy.n_actions, trunk=policy.widths, symmetric=policy.symmetric
     )
+    _save(folder, policy, architecture)
 
 
 def load_policy(artefact: Path) -> ActorCritic:
@@ -87,8 +91,9 @@ def load_policy(artefact: Path) -> ActorCritic:
         ArtefactError: if a file is missing or damaged, or a tensor does not fit the architecture.
     """
     found = read_architecture(artefact, PolicyArchitecture)
+    nothing = torch.Generator()
     policy = ActorCritic(
-        make_encoder(found.encoder, torch.Generator()), found.n_actions, torch.Generator(), trunk=found.trunk
+        make_encoder(found.encoder, nothing), found.n_actions, nothing, trunk=found.trunk, symmetric=found.symmetric
     )
     _load_weights(artefact / WEIGHTS, policy)
     return policy

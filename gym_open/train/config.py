@@ -12,6 +12,7 @@ from gym_open.agents.config import (
     PPOConfig,
     Width,
     WorldModelSections,
+    check_symmetric,
 )
 from gym_open.config import Config, Count, PositiveFloat, PositiveInt, Seed
 from gym_open.precision import PrecisionSetting
@@ -83,6 +84,9 @@ class PolicyTrainConfig(Config, frozen=True, kw_only=True):
     are as large as those of an untrained encoder; or only its `convolutions`, with a fresh last layer."""
     trunk: tuple[Width, ...] = ()
     """Widths of hidden layers, with tanh, between the encoder and the linear heads."""
+    symmetric: bool = False
+    """Give the trunk and the heads the symmetries of the table: reflections and quarter turns. They need an encoder
+    that finds objects on the table, and a trunk whose widths are multiples of 8."""
     encoder_learning_rate: PositiveFloat | None = None
     """Adam's step size for the encoder, if it is another than `ppo.learning_rate`."""
     frozen: bool = False
@@ -102,6 +106,8 @@ class PolicyTrainConfig(Config, frozen=True, kw_only=True):
                 f"`frozen` must be true for `encoder.architecture` {self.encoder.architecture!r}: its features have no "
                 "gradients, got false"
             )
+        if self.symmetric:
+            check_symmetric(self.encoder, self.trunk)
 
 
 class ProbeConfig(Config, frozen=True, kw_only=True):

@@ -74,12 +74,14 @@ def train_encoder(
         board = Board(tensorboard)
         trainer.run(board)
         board.close()
+        found = trainer.finish()
         save_encoder(partial, trainer.model.encoder)
         save_curve(partial, trainer.columns, trainer.rows)
         return {
             "world_model": config.world_model,
             "updates": config.updates,
             "frames": trainer.frames,
+            **found,
             "precision": precision,
             "hardware": hardware(config.threads, config.device),
         }
@@ -91,7 +93,7 @@ class _EncoderTrainer:
     """The state of one run, which a checkpoint holds in full."""
 
     def __init__(self, config: EncoderTrainConfig, pictures: Pictures, checkpoint: Path) -> None:
-        self.config, self.checkpoint = config, checkpoint
+        self.config, self.checkpoint, self.release = config, checkpoint, pictures.release.root
         self.train, self.held_out = _steps(pictures, "train"), _steps(pictures, "val")
         if self.train is None or len(self.train) < config.batch_size:
             raise ArtefactError(
@@ -174,6 +176,23 @@ class _EncoderTrainer:
         with autocast(self.config.precision, device):
             loss, figures = self.model.measure(TransitionBatch(images[:, 0], actions, images[:, 1]), drawn, shifts)
         return loss, torch.stack([loss.detach(), *figures.values()]).double().cpu()
+
+    def finish(self) -> dict[str, float]:
+        """Let the world model learn what needs its finished encoder; return facts about it.
+
+        Raises:
+            ArtefactError: if it cannot learn that from this release.
+        """
+        assert self.train is not None
+        spread = np.linspace(0, len(self.train) - 1, min(len(self.train), FIRST_IMAGES)).astype(np.int64)
+        batch = self.train.fetch(spread)
+        images, actions = torch.from_numpy(batch[IMAGE]), torch.from_numpy(batch["action.index"][:, 0])
+        try:
+            return self.model.to("cpu").finish(TransitionBatch(images[:, 0], actions, images[:, 1]))
+        except ValueError as error:
+            raise ArtefactError(
+                f"{self.release}: {error}; train longer (`updates`), collect more steps, or give `encoder.frame` image"
+            ) from None
 
     @torch.no_grad()
     def measure_held_out(self) -> list[float]:

@@ -174,8 +174,9 @@ class _PolicyTrainer:
         self.saved = folder / artefacts.SCRATCH / "state.safetensors"
         network = self._encoder(encoder)
         self.agent = ActorCritic(
-            network, N_ACTIONS, self._torch_generator("heads"), trunk=config.trunk, frozen=config.frozen
-        )
+            network, N_ACTIONS, self._torch_generator("heads"),
+            trunk=config.trunk, symmetric=config.symmetric, frozen=config.frozen,
+        )  # fmt: skip
         self.agent.to(config.device)
         self.optimizer = torch.optim.Adam(self._groups(), lr=config.ppo.learning_rate, eps=1e-5, fused=True)
         self.acting, self.updating = self._torch_generator("actions"), self._torch_generator("update")

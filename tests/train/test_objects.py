@@ -25,7 +25,7 @@ Kind = Literal["slots", "keypoints"]
 
 
 def encoder_config(architecture: Kind) -> EncoderTrainConfig:
-    encoder = EncoderConfig(architecture=architecture, slots=3, readout="centroids")
+    encoder = EncoderConfig(architecture=architecture, slots=3, readout="centroids", frame="image")
     return EncoderTrainConfig(
         world_model="objects", updates=4, batch_size=8, report_every=2, encoder=encoder, threads=1
     )
@@ -60,7 +60,7 @@ def test_from_release_to_policy_each_step_repeats_to_the_byte(
     policy = load_policy(policies[0])
     images = torch.randint(0, 256, (3, 84, 84, 3), dtype=torch.uint8)
     features = encoder.encode(images)
-    assert features.shape == (3, config.encoder.width) == (3, 11)
+    assert features.shape == (3, config.encoder.width) == (3, 13)
     with torch.no_grad():  # training has not changed the encoder, and loading brings the trunk back
         torch.testing.assert_close(policy(policy.prepare(images))[0], policy.heads(features)[0])
     assert [layer.out_features for layer in policy.trunk if isinstance(layer, torch.nn.Linear)] == [16, 8]

@@ -16,7 +16,8 @@ from torch import Tensor, nn
 
 from gym_open.agents.config import EncoderConfig
 from gym_open.agents.encoder import IMAGE_SHAPE, ImageEncoder, check_images, init_layer
-from gym_open.agents.objects.readout import CELLS, read_maps
+from gym_open.agents.objects.plane import CELLS, UNFITTED, plane_of
+from gym_open.agents.objects.readout import read_maps, turns_of
 from gym_open.agents.threads import in_parts, through
 from gym_open.envs.jit import compiled
 
@@ -40,11 +41,19 @@ class ObjectEncoder(ImageEncoder, ABC):
 
     Attributes:
         agent_logits: one per slot, (K,); the agent's slot has the largest.
+        homography: from places in the image to places on the table (`plane`), (3, 3).
+        reach: how far the agent gets from the table's middle along x and y, (2,), in moves.
     """
+
+    homography: Tensor
+    reach: Tensor
 
     def __init__(self, config: EncoderConfig) -> None:
         super().__init__(config)
         self.agent_logits = nn.Parameter(torch.zeros(config.slots))
+        self.register_buffer("homography", torch.from_numpy(UNFITTED))
+        self.register_buffer("reach", torch.full((2,), CELLS / 4, dtype=torch.float64))
+        self.turns = turns_of(config)
 
     @property
     def agent(self) -> int:
@@ -84,7 +93,8 @@ class ObjectEncoder(ImageEncoder, ABC):
     @torch.no_grad()
     def forward(self, prepared: Tensor) -> Tensor:
         """Features (B, width) float32 of images (B, 84, 84, 3) uint8."""
-        return read_maps(self.maps(prepared), self.agent, self.config)
+        plane = plane_of(self.homography.cpu().numpy())
+        return read_maps(self.maps(prepared), self.agent, plane, self.reach.cpu().numpy(), self.config)
 
 
 class SlotEncoder(ObjectEncoder):

@@ -3,7 +3,8 @@
     p = Σ_k softmax(α)_k · centroid_k,     loss = CE(inverse(p, p′ − p), action) [+ reconstruction, of keypoints]
 
 The slot whose centroid tells the action best is the agent's: nothing else in the world moves with each action. The
-inverse model is that of ICM (Pathak et al. 2017), on four numbers instead of two vectors of features.
+inverse model is that of ICM (Pathak et al. 2017), on four numbers instead of two vectors of features. At the end, the
+moves of this slot show where on the table each place in the image is (`plane`).
 """
 
 import numpy as np
@@ -14,9 +15,13 @@ from torch import Tensor, nn
 from gym_open.agents.config import ObjectsConfig
 from gym_open.agents.encoder import init_layer
 from gym_open.agents.objects.encoders import KeypointEncoder, ObjectEncoder, SlotEncoder
-from gym_open.agents.objects.readout import LENGTH, MIDDLE, centroids
+from gym_open.agents.objects.plane import CELLS, fit_plane
+from gym_open.agents.objects.readout import EMPTY, centroids
 from gym_open.agents.world_model import TransitionBatch, WorldModel
+from gym_open.envs.constants import MOVES
 
+MIDDLE, LENGTH = CELLS / 2, 10.0
+"""The inverse model sees a coordinate c in cells as `(c − MIDDLE) / LENGTH`."""
 _KEEP = 0.95
 """Share of the running mean of each map that a gradient step keeps."""
 
@@ -58,6 +63,35 @@ class Objects(WorldModel):
         share = self.encoder.agent_shares.max()
         values = (inverse, named, share, reconstruction)
         return inverse + reconstruction, dict(zip(self.figures, (value.detach() for value in values), strict=True))
+
+    def finish(self, transitions: TransitionBatch) -> dict[str, float]:
+        """Measure the table by the moves of the agent's slot.
+
+        Returns:
+            `plane_moves`, the number of moves that agree on the table, and `plane_error`, by how much (median, moves).
+
+        Raises:
+            ValueError: if the moves do not agree on a table.
+        """
+        encoder = self.encoder
+        if encoder.config.frame == "image":
+            return {}
+        begin, end = self._agent_places(transitions.obs), self._agent_places(transitions.next_obs)
+        both = np.isfinite(begin + end).all(axis=1)
+        directions = np.array(MOVES, np.float64)[transitions.actions.numpy()]
+        fit = fit_plane(begin[both], end[both], directions[both])
+        if fit is None:
+            raise ValueError(f"the moves of slot {encoder.agent}, {both.sum()} of them, do not agree on one table")
+        encoder.homography.copy_(torch.from_numpy(fit.homography))
+        encoder.reach.copy_(torch.from_numpy(fit.reach))
+        return {"plane_moves": fit.moves, "plane_error": round(fit.error, 4)}
+
+    @torch.no_grad()
+    def _agent_places(self, images: Tensor) -> np.ndarray:
+        """Centroid (row, column) of the agent's slot in each image, (B, 2) float64; NaN if the agent is not seen."""
+        parts = [centroids(self.encoder.maps(part)) for part in images.split(500)]
+        mass, places = (torch.cat(part)[:, self.encoder.agent].double().numpy() for part in zip(*parts, strict=True))
+        return np.where(mass[:, None] > EMPTY, places, np.nan)
 
     def _maps(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """Maps (B, 42, 42, K), with gradients if the encoder learns them, and the reconstruction's error."""
