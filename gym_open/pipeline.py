@@ -17,6 +17,7 @@ from gym_open.artefacts import Outcome
 from gym_open.collect.config import CollectConfig
 from gym_open.config import Config, check, load
 from gym_open.datasets.config import ReleaseConfig
+from gym_open.envs.puzzles.sets import puzzle_id
 from gym_open.evaluate.config import EvaluateConfig
 from gym_open.forecast import outlook, work
 from gym_open.summary import (
@@ -46,12 +47,13 @@ class PipelineConfigs(msgspec.Struct, frozen=True, kw_only=True):
     encoder: EncoderTrainConfig
     probe: ProbeConfig
     policy: PolicyTrainConfig
+    scratch: PolicyTrainConfig
     evaluate: EvaluateConfig
     viz: VizConfig
 
 
 def read_plan(root: Path, seed: int) -> PipelineConfigs:
-    """Read the seven configurations that a run uses, with `seed` in each.
+    """Read the eight configurations that a run uses, with `seed` in each. Both policies learn for as many steps.
 
     Raises:
         ConfigError: if a file or value is wrong; it names the file and the key.
@@ -63,12 +65,15 @@ def read_plan(root: Path, seed: int) -> PipelineConfigs:
             config = check(msgspec.structs.replace(config, seed=seed), source="--seed")
         return config
 
+    scratch = read("train/policy-goal-seeking.toml", PolicyTrainConfig)
+    policy = read("train/policy-objects.toml", PolicyTrainConfig)
     return PipelineConfigs(
         collect=read("collect/curl-ride.toml", CollectConfig),
         release=read("datasets/explore.toml", ReleaseConfig),
-        encoder=read("train/encoder-curl.toml", EncoderTrainConfig),
+        encoder=read("train/encoder-objects.toml", EncoderTrainConfig),
         probe=read("train/probe.toml", ProbeConfig),
-        policy=read("train/policy-goal-seeking.toml", PolicyTrainConfig),
+        policy=msgspec.structs.replace(policy, task=scratch.task, steps=scratch.steps),
+        scratch=scratch,
         evaluate=read("evaluate/goal-seeking.toml", EvaluateConfig),
         viz=read("viz/default.toml", VizConfig),
     )
@@ -102,7 +107,7 @@ def stages(plan: PipelineConfigs, root: Path, seed: int) -> list[PipelineStage]:
     )
     encoder = PipelineStage(
         name="train encoder",
-        folder=(learned := root / f"train/encoders/curl-seed{seed}"),
+        folder=(learned := root / f"train/encoders/objects-seed{seed}"),
         config=plan.encoder,
         needs=(release,),
         work=work.encoding(plan.encoder, plan.collect.steps),
@@ -110,7 +115,7 @@ def stages(plan: PipelineConfigs, root: Path, seed: int) -> list[PipelineStage]:
     )
     probe = PipelineStage(
         name="train probe",
-        folder=(probed := root / f"train/probes/curl-seed{seed}"),
+        folder=(probed := root / f"train/probes/objects-seed{seed}"),
         config=plan.probe,
         needs=(encoder,),
         work=work.probing(plan.probe, plan.encoder.encoder),
@@ -118,7 +123,7 @@ def stages(plan: PipelineConfigs, root: Path, seed: int) -> list[PipelineStage]:
     )
     policies = [_policy(plan, root, seed, start) for start in (encoder, None)]
     scores = [_scores(plan, root, seed, policy) for policy in (*policies, None)]
-    shown = [log, *policies, *scores]
+    shown, filmed = [log, *policies, *scores], [score.folder for score in scores[:-1]]
     recording = PipelineStage(
         name="viz recording",
         folder=(recorded := root / f"viz/recordings/run-seed{seed}"),
@@ -133,26 +138,27 @@ def stages(plan: PipelineConfigs, root: Path, seed: int) -> list[PipelineStage]:
         config=plan.viz,
         needs=tuple(shown),
         work=work.Work(),
-        make=lambda: _draw(plan.viz, [stage.folder for stage in shown], drawn),
+        make=lambda: _draw(plan.viz, [stage.folder for stage in shown], filmed, drawn),
     )
     return [log, release, encoder, probe, *policies, *scores, recording, figure]
 
 
 def _policy(plan: PipelineConfigs, root: Path, seed: int, encoder: PipelineStage | None) -> PipelineStage:
-    start = encoder.folder if encoder else None
-    folder = root / f"train/policies/{plan.policy.task}-{'curl' if encoder else 'scratch'}-seed{seed}"
+    start, config = (encoder.folder, plan.policy) if encoder else (None, plan.scratch)
+    folder = root / f"train/policies/{config.task}-{'objects' if encoder else 'scratch'}-seed{seed}"
     return PipelineStage(
-        name=f"train policy {'from encoder' if encoder else 'from scratch'}",
+        name=f"train policy from {'play' if encoder else 'scratch'}",
         folder=folder,
-        config=plan.policy,
+        config=config,
         needs=(encoder,) if encoder else (),
-        work=work.learning(plan.policy, encoder=encoder is not None),
-        make=lambda: _train_policy(plan.policy, start, folder),
+        work=work.learning(config, encoder=encoder is not None),
+        make=lambda: _train_policy(config, start, folder),
     )
 
 
 def _scores(plan: PipelineConfigs, root: Path, seed: int, policy: PipelineStage | None) -> PipelineStage:
     played = policy.folder if policy else None
+    trained = policy.config if policy else None
     folder = root / "evaluate/scores" / (played.name if played else f"{plan.policy.task}-random-seed{seed}")
     config = plan.evaluate if policy else msgspec.structs.replace(plan.evaluate, actions="sampled")
     return PipelineStage(
@@ -160,7 +166,7 @@ def _scores(plan: PipelineConfigs, root: Path, seed: int, policy: PipelineStage 
         folder=folder,
         config=config,
         needs=(policy,) if policy else (),
-        work=work.playing(config, plan.policy.encoder if policy else None),
+        work=work.playing(config, trained.encoder if isinstance(trained, PolicyTrainConfig) else None),
         make=lambda: _evaluate(config, played, folder),
     )
 
@@ -211,13 +217,18 @@ def _record(config: VizConfig, log: Path, out: Path) -> Outcome:
     return artefacts.build(out, kind="recording", config=config, parents=[log], work=work)
 
 
-def _draw(config: VizConfig, sources: list[Path], out: Path) -> Outcome:
+def _draw(config: VizConfig, sources: list[Path], filmed: list[Path], out: Path) -> Outcome:
+    """The figure, and a film of the policies on the first puzzle in the observation's look, which needs no OpenGL."""
     log, *others = sources
 
     def work(partial: Path) -> dict[str, str]:
+        from gym_open.viz.config import Choice
+        from gym_open.viz.export import write_video
         from gym_open.viz.figures import draw_run_figure
 
         draw_run_figure(log, others, partial / "run.png")
+        first = Choice(puzzle=puzzle_id(artefacts.config_of(filmed[0])["task"], "test", 0))
+        write_video(msgspec.structs.replace(config, film_look="observation"), filmed, first, partial / "run.mp4")
         return {}
 
     return artefacts.build(out, kind="figure", config=config, parents=sources, work=work)
@@ -273,8 +284,9 @@ def run(root: Path, seed: int, voice: Voice) -> None:
         voice.console.print(markup(proof_text(name, path)), highlight=False)
     voice.console.print(f"({PAPER_NOTE})\n", highlight=False)
     _end(journal, scores, f"{_exact(time.perf_counter() - started)}{expected}", voice)
-    voice.say(f"  curves: {short(folders['viz figure'] / 'run.png')}")
-    longer = f"--config {word(root / 'train/policy-strong.toml')} --encoder {word(folders['train encoder'])}"
+    voice.say(f"  {_sentence(plan, list(scores.values()))}")
+    voice.say(f"  curves: {short(folders['viz figure'] / 'run.png')}, film: {short(folders['viz figure'] / 'run.mp4')}")
+    longer = f"--config {word(root / 'train/policy-objects.toml')} --encoder {word(folders['train encoder'])}"
     for line in (
         f"rerun {word(folders['viz recording'] / 'recording.rrd')}",
         f"gym-open viz {word(folders['dataset build'])} --save release.rrd",
@@ -306,6 +318,16 @@ def _end(journal: Journal, scores: dict[str, Path], took: str, voice: Voice) -> 
         voice.result(f"{journal.made} of {journal.total} stages in {took}; A-Success: {reached}", verb="made")
     else:
         voice.result(f"all {journal.total} stages are up to date; A-Success: {reached}", verb="nothing to do:")
+
+
+def _sentence(plan: PipelineConfigs, scores: Sequence[Path]) -> str:
+    """What the run shows: the two policies at the same number of steps."""
+    found = [read_json(path / "scores.json") for path in scores[:2]]
+    play, scratch = (record["a_success"] for record in found)
+    return (
+        f"after the same {found[0]['trained']:,} steps of {found[0]['task']}, the policy from play has an A-Success of "
+        f"{play:.2f}, the policy from scratch {scratch:.2f}; play took {plan.collect.steps:,} steps without a task"
+    )
 
 
 def _exact(seconds: float) -> str:

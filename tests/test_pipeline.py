@@ -32,12 +32,23 @@ TINY = {
         encoder = {features = 32}
         ppo = {update_epochs = 1}
     """,
-    "train/encoder-curl.toml": """
-        updates = 6
-        report_every = 2
+    "train/encoder-objects.toml": """
+        world_model = "objects"
+        updates = 60
+        report_every = 20
         batch_size = 32
+        shift_pad = 0
+        learning_rate = 3e-3
         threads = 1
-        encoder = {features = 32}
+        encoder = {architecture = "slots", slots = 8, readout = "centroids", frame = "image"}
+    """,
+    "train/policy-objects.toml": """
+        num_envs = 8
+        num_steps = 16
+        frozen = true
+        threads = 1
+        encoder = {architecture = "slots", slots = 8, readout = "centroids", frame = "image"}
+        ppo = {update_epochs = 1, shift_pad = 0, precision = "fp32"}
     """,
     "train/policy-goal-seeking.toml": """
         steps = 384
@@ -111,15 +122,23 @@ def test_everything_that_a_run_promises_is_there(runs: Runs) -> None:
     for name in (
         "collect/logs/curl-ride-seed0/stream-000-000.mcap",
         f"{RELEASE}/meta/info.json",
-        "train/encoders/curl-seed0/model.safetensors",
-        "train/policies/goal-seeking-curl-seed0/model.safetensors",
+        "train/encoders/objects-seed0/model.safetensors",
+        "train/policies/goal-seeking-objects-seed0/model.safetensors",
         "train/policies/goal-seeking-scratch-seed0/curve.json",
-        "train/probes/curl-seed0/probe.json",
+        "train/probes/objects-seed0/probe.json",
         "viz/recordings/run-seed0/recording.rrd",
         "viz/figures/run-seed0/run.png",
+        "viz/figures/run-seed0/run.mp4",
     ):
         assert (root / name).stat().st_size > 0
-    for words in ("A-Success", "PPO from encoder", "PPO from scratch", "random", "linear probe", "next: rerun"):
+    for words in (
+        "A-Success",
+        "PPO from play",
+        "PPO from scratch",
+        "after the same 384 steps of goal-seeking",
+        "linear probe",
+        "next: rerun",
+    ):
         assert words in shown
     assert not list(root.rglob(".*.partial*"))
     assert not list(root.rglob("*.lock"))
@@ -140,7 +159,7 @@ def test_the_scores_follow_from_the_recorded_episodes(runs: Runs) -> None:
 
 def test_the_policy_from_the_encoder_is_proven_task_free(runs: Runs) -> None:
     root, shown = runs.root, runs.shown
-    proof = json.loads((root / SCORES / "goal-seeking-curl-seed0" / "scores.json").read_text())["proof"]
+    proof = json.loads((root / SCORES / "goal-seeking-objects-seed0" / "scores.json").read_text())["proof"]
     assert proof["verdict"] == "proven", proof
     assert "task-free, proven" in shown
     log = artefacts.digest(root / "collect/logs/curl-ride-seed0")
@@ -154,7 +173,7 @@ def test_in_a_pipe_every_stage_prints_its_start_and_its_end(runs: Runs) -> None:
     for number, stage in enumerate(row, 1):
         patterns += [rf"{number}/{len(row)} {stage.name} …", rf"{stage.name} +made \([0-9.]+ s\)"]
     patterns[2:2] = [f"exploring: 0 of {steps}", rf"exploring: {steps} of {steps} in .+/s; loss of the worlds .+"]
-    patterns.append(r"made 11 of 11 stages in .+ \(.+ expected\); A-Success: PPO from encoder 0\..+")
+    patterns.append(r"made 11 of 11 stages in .+ \(.+ expected\); A-Success: PPO from play 0\..+")
     said = iter(runs.shown.splitlines())
     for pattern in patterns:  # in this order; what is between depends on how slow the machine is
         assert any(re.fullmatch(pattern, line) for line in said), f"{pattern}\n{runs.shown}"
@@ -186,8 +205,8 @@ def test_a_program_reads_one_record_per_stage(quiet: bool, runs: Runs, capsys: p
     scores = json.loads((row[6].folder / "scores.json").read_text())
     probe = json.loads((row[3].folder / "probe.json").read_text())["targets"]
     assert figures["collect"]["steps"] == read_plan(root, 0).collect.steps
-    assert figures["evaluate PPO from encoder"]["a_success"] == scores["a_success"]
-    assert figures["evaluate PPO from encoder"]["proof"] == "proven"
+    assert figures["evaluate PPO from play"]["a_success"] == scores["a_success"]
+    assert figures["evaluate PPO from play"]["proof"] == "proven"
     assert figures["train probe"]["gain_agent"] == probe["agent"]["gain"]["value"]
     assert ("linear probe" in said.err) == (not quiet)
     assert quiet == (not said.err)
@@ -261,9 +280,8 @@ def test_an_encoder_of_another_shape_is_refused_before_training(
     runs: Runs, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     root = runs.root
-    words = ["train", "policy", "--workspace", str(root), "--encoder", str(root / "train/encoders/curl-seed0")]
-    assert main([*words, "--encoder.features", "64", "--out", str(tmp_path / "policy")]) == 1
-    error = capsys.readouterr().err
-    assert "32" in error
-    assert "64" in error
+    words = ["train", "policy", "--workspace", str(root), "--config", str(root / "train/policy-objects.toml")]
+    words += ["--encoder", str(root / "train/encoders/objects-seed0"), "--out", str(tmp_path / "policy")]
+    assert main([*words, "--encoder.slots", "9"]) == 1
+    assert "`encoder.slots` is 8, but the policy's configuration says 9" in capsys.readouterr().err
     assert not (tmp_path / "policy").exists()

@@ -135,6 +135,8 @@ class CurlConfig(WorldModelConfig, frozen=True, kw_only=True):
 class ObjectsConfig(WorldModelConfig, frozen=True, kw_only=True):
     """Objects from exploration: colour slots or keypoints, and which of them is the agent."""
 
+    passes: ClassVar[ImagePasses] = ImagePasses(learned=2, looked=0, judged=2)
+
     hidden: Width = 64
     """Width of the inverse model's hidden layer."""
 

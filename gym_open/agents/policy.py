@@ -46,6 +46,8 @@ class ActorCritic(nn.Module):
         self.frozen = frozen
         self.encoder = encoder.requires_grad_(not frozen)
         self.widths, self.symmetric = tuple(trunk), symmetric
+        self.actor: nn.Linear | GroupActor
+        self.critic: nn.Linear | GroupCritic
         if symmetric:
             self.trunk, self.actor, self.critic = _symmetric_layers(encoder, trunk, generator)
         else:
@@ -118,7 +120,7 @@ class ActorCritic(nn.Module):
 
 def _plain_layers(
     features: int, trunk: Sequence[int], n_actions: int, generator: torch.Generator
-) -> tuple[nn.Sequential, nn.Module, nn.Module]:
+) -> tuple[nn.Sequential, nn.Linear, nn.Linear]:
     """Trunk, policy head and value head of linear layers."""
     layers, widths = nn.Sequential(), [features, *trunk]
     for inputs, outputs in pairwise(widths):
@@ -133,7 +135,7 @@ def _plain_layers(
 
 def _symmetric_layers(
     encoder: ImageEncoder | StateEncoder, trunk: Sequence[int], generator: torch.Generator
-) -> tuple[nn.Sequential, nn.Module, nn.Module]:
+) -> tuple[nn.Sequential, GroupActor, GroupCritic]:
     """The same with the symmetries of the table."""
     if encoder.turns is None:
         raise ValueError(f"features of architecture {encoder.config.architecture!r} have no symmetries")

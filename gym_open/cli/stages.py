@@ -103,7 +103,8 @@ class TrainEncoder(ArtefactCommand, StageCommand):
         folder = self.place(self.out, "train/encoders")
         made = train_encoder(self.settings, self.release, folder, tensorboard=self.tensorboard, cache=self.cache)
         path = word(made.path)
-        report(made, f"gym-open train probe --encoder {path}", f"gym-open train policy --encoder {path}")
+        config = " --config train/policy-objects.toml" if self.settings.world_model == "objects" else ""
+        report(made, f"gym-open train probe --encoder {path}", f"gym-open train policy --encoder {path}{config}")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,8 +7,10 @@ from collections.abc import Callable
 import msgspec
 import torch
 
+from gym_open.agents.architectures import make_image_encoder
 from gym_open.agents.augment import draw_shifts
-from gym_open.agents.encoder import IMAGE_SHAPE, Encoder, autocast
+from gym_open.agents.config import OBJECT_ENCODERS
+from gym_open.agents.encoder import IMAGE_SHAPE, autocast
 from gym_open.agents.policy import ActorCritic
 from gym_open.agents.threads import threads
 from gym_open.envs.constants import N_ACTIONS
@@ -71,7 +73,7 @@ def cost_of_image(how: Passes, most: float = 1000) -> float:
 def _pass(how: Passes) -> Callable[[], float]:
     """A function that passes one batch through the network."""
     generator = torch.Generator().manual_seed(0)
-    agent = ActorCritic(Encoder(how.network, generator), N_ACTIONS, generator).to(how.device)
+    agent = ActorCritic(make_image_encoder(how.network, generator), N_ACTIONS, generator).to(how.device)
     optimizer = torch.optim.Adam(agent.parameters(), lr=1e-4, fused=True)
     images = torch.randint(256, (how.batch, *IMAGE_SHAPE), dtype=torch.uint8, generator=generator).to(how.device)
     shifts = draw_shifts(how.batch, 4, generator)
@@ -88,7 +90,7 @@ def _pass(how: Passes) -> Callable[[], float]:
         optimizer.step()
         return float(values.detach().sum())
 
-    return learn if how.learn else look
+    return learn if how.learn and how.network.architecture not in OBJECT_ENCODERS else look
 
 
 def usual_time(once: Callable[[], object], most: float, *, clock: Callable[[], float] = time.perf_counter) -> float:

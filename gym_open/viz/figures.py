@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-ENCODER, SCRATCH, RANDOM, ORACLE, HUMAN = "from CURL encoder", "from scratch", "random", "oracle", "human"
+PLAY, SCRATCH, RANDOM, ORACLE, HUMAN = "from play", "from scratch", "random", "oracle", "human"
 STYLES: dict[str, dict[str, Any]] = {
-    ENCODER: {"color": BLUE, "marker": "o", "linestyle": "-"},
+    PLAY: {"color": BLUE, "marker": "o", "linestyle": "-"},
     SCRATCH: {"color": ORANGE, "marker": "s", "linestyle": "--"},
     RANDOM: {"color": GREY, "marker": "^", "linestyle": ":"},
     ORACLE: {"color": GREEN, "marker": "D", "linestyle": "-."},
@@ -94,7 +94,7 @@ def _fine_tuning(axes: "Axes", policies: Sequence[Path], task: str) -> None:
     axes.set(title=f"PPO on {task}", xlabel="environment steps", ylabel="mean return of a training episode")
     for path in policies:
         curve = _columns(_read(path / "curve.json"))
-        name = ENCODER if artefacts.lineage(path).facts["from_encoder"] else SCRATCH
+        name = PLAY if artefacts.lineage(path).facts["from_encoder"] else SCRATCH
         known = np.isfinite(curve["mean_return"])
         axes.plot(curve["step"][known], curve["mean_return"][known], **STYLES[name], markersize=3, label=name)
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))  # so that a small difference looks small
@@ -118,7 +118,7 @@ def _score(axes: "Axes", scores: Sequence[Path], task: str) -> None:
 def _scored(lineage: artefacts.Lineage) -> str:
     if not lineage.parents:
         return lineage.facts["agent"]
-    return ENCODER if lineage.parents[0].lineage.facts["from_encoder"] else SCRATCH
+    return PLAY if lineage.parents[0].lineage.facts["from_encoder"] else SCRATCH
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -142,6 +142,7 @@ def test_actions_follow_the_policy_and_figures_are_its_own(make_images: MakeImag
     assert one.policy is not None
     images = make_images(1).expand(2000, -1, -1, -1)
     with torch.no_grad():
+        assert isinstance(one.policy.actor, torch.nn.Linear)
         one.policy.actor.bias.copy_(torch.linspace(-1, 1, 9))
         logits, values = one.policy(one.policy.encoder.prepare(images[:1]))
     acted = one.act(images)

@@ -164,6 +164,7 @@ def test_numbers_that_are_no_longer_finite_are_an_error(seen: Tensor, acted: lis
     assert one.model is not None
     play = TransitionBatch(seen[:-1].flatten(0, 1), torch.zeros(T * N, dtype=torch.int64), seen[1:].flatten(0, 1))
     with torch.no_grad():
+        assert isinstance(one.policy.actor, torch.nn.Linear)
         one.policy.actor.bias[3] = math.nan
     with pytest.raises(DivergedError, match="the policy's probabilities are not finite"):
         one.act(seen[0])

@@ -122,6 +122,7 @@ def test_actions_follow_the_probabilities() -> None:
     net = agent()
     with torch.no_grad():
         net.actor.weight.zero_()
+        assert isinstance(net.actor, torch.nn.Linear)
         net.actor.bias.copy_(torch.tensor([0.1, 0.2, 0.3, 0.4]).log())
     generator = torch.Generator().manual_seed(0)
     prepared = torch.zeros(500, 3, 84, 84)

@@ -52,9 +52,9 @@ def test_features_turn_like_what_they_stand_for() -> None:
     builder.directions([(1, 0), (0, 1), (-1, 0), (0, -1)])
     source, sign = builder.build()
     features = torch.tensor([7.0, 1, 2, 3, -4, 10, 20, 30, 40])
-    mirror = [g for g, element in enumerate(ELEMENTS) if (element == [[-1, 0], [0, 1]]).all()][0]
+    mirror = next(g for g, element in enumerate(ELEMENTS) if (element == [[-1, 0], [0, 1]]).all())
     assert (features[source[mirror]] * sign[mirror]).tolist() == [7, -1, 2, -3, -4, 30, 20, 10, 40]
-    quarter = [g for g, element in enumerate(ELEMENTS) if (element == [[0, -1], [1, 0]]).all()][0]
+    quarter = next(g for g, element in enumerate(ELEMENTS) if (element == [[0, -1], [1, 0]]).all())
     assert (features[source[quarter]] * sign[quarter]).tolist() == [7, -2, 1, 4, 3, 40, 10, 20, 30]
 
 
@@ -84,9 +84,7 @@ def test_a_plain_policy_does_not() -> None:
 
 def test_features_of_a_network_have_no_symmetries() -> None:
     with pytest.raises(ValueError, match="features of architecture 'cnn' have no symmetries"):
-        ActorCritic(
-            make_encoder(EncoderConfig(), torch.Generator()), 9, torch.Generator(), trunk=(16,), symmetric=True
-        )
+        ActorCritic(make_encoder(EncoderConfig(), torch.Generator()), 9, torch.Generator(), trunk=(16,), symmetric=True)
 
 
 @pytest.mark.parametrize("g", range(1, 4))
@@ -109,6 +107,4 @@ def test_the_worlds_physics_has_the_reflections(g: int) -> None:
         return np.array(path)
 
     middle = np.array([-0.581 + 4 * 0.141, 1.0559 - 7.5 * 0.141])  # of the cells, a little off the table's
-    np.testing.assert_allclose(
-        (places(mirrored=True) - middle) * [x, y], places(mirrored=False) - middle, atol=2e-2
-    )
+    np.testing.assert_allclose((places(mirrored=True) - middle) * [x, y], places(mirrored=False) - middle, atol=2e-2)

@@ -188,7 +188,7 @@ def test_an_unknown_option_ends_with_2_and_a_suggestion(root: Path, capsys: pyte
     assert "--steps" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("file", ["encoder-curl.toml", "probe.toml", "policy-goal-seeking.toml"])
+@pytest.mark.parametrize("file", ["encoder-objects.toml", "probe.toml", "policy-goal-seeking.toml"])
 def test_a_misspelt_key_in_a_file_ends_the_run_before_it_starts(
     file: str, root: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

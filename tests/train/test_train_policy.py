@@ -183,6 +183,7 @@ def test_rollout_is_what_the_environments_did(tmp_path: Path) -> None:
     config = msgspec.structs.replace(TINY, num_steps=103, ppo=PPOConfig(precision="fp32"))
     trainer = _PolicyTrainer(config, None, tmp_path / "none")
     with torch.no_grad():
+        assert isinstance(trainer.agent.actor, torch.nn.Linear)
         trainer.agent.actor.bias[0] = 100.0
     with bar("test", 1) as shown:
         rollout, episodes = trainer.collect(shown)
@@ -211,6 +212,7 @@ def test_rollout_is_what_the_environments_did(tmp_path: Path) -> None:
 def test_what_a_rollout_goes_on_with_is_seen_after_its_last_step(tmp_path: Path) -> None:
     trainer = _PolicyTrainer(msgspec.structs.replace(TINY, ppo=PPOConfig(precision="fp32")), None, tmp_path / "none")
     with torch.no_grad():
+        assert isinstance(trainer.agent.actor, torch.nn.Linear)
         trainer.agent.actor.bias[0] = -100.0  # nothing stands still
     with bar("test", 1) as shown:
         rollout, _ = trainer.collect(shown)

@@ -95,9 +95,9 @@ def test_lines_are_the_artefacts_numbers(sources: list[Path], tmp_path: Path, mo
     assert [line.get_ydata()[0] for line in left.lines if "threshold" in str(line.get_label())] == [1.0]  # type: ignore
     for line in middle.lines:
         assert np.array_equal(np.array(line.get_data()), [[256, 384], [0.25, 0.5]])
-    assert [line.get_label() for line in middle.lines] == ["from CURL encoder", "from scratch"]
+    assert [line.get_label() for line in middle.lines] == ["from play", "from scratch"]
     labels = [str(line.get_label()) for line in right.lines]
-    names = ("from CURL encoder", "from scratch", "random", "oracle")
+    names = ("from play", "from scratch", "random", "oracle")
     assert labels == [f"{name}: A-Success 0.125 ± 0.010" for name in names]
     assert right.lines[2].get_ydata() == pytest.approx([0.0, 0.2])
     assert right.get_xscale() == "log"

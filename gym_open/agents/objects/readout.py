@@ -70,7 +70,15 @@ def read_maps(maps: Tensor, agent: int, plane: Plane, reach: np.ndarray, config:
 
     def work(begin: int, end: int) -> None:
         _read(
-            grids[begin:end], agent, plane.places, plane.weights, reach, EDGES, with_centroids, with_grid, out[begin:end]
+            grids[begin:end],
+            agent,
+            plane.places,
+            plane.weights,
+            reach,
+            EDGES,
+            with_centroids,
+            with_grid,
+            out[begin:end],
         )
 
     in_parts(len(grids), work)
