@@ -34,6 +34,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from gym_open import seeding
 from gym_open.agents.config import EncoderConfig, PPOConfig
 from gym_open.agents.encoder import StateEncoder
+from gym_open.agents.policy import ActorCritic
+from gym_open.envs.constants import N_ACTIONS
 from gym_open.envs.env import OpenEnv
 from gym_open.envs.puzzles.sets import puzzles_of
 from gym_open.envs.state import STATE_SIZE, state_vector
@@ -47,8 +49,8 @@ from gym_open.train.policy import train_policy
 TASK, STEPS, SEEDS, RESAMPLES = "goal-seeking", 151_552, 3, 10_000
 PPO_CONFIG = PPOConfig(clip_vloss=False, precision="fp32")
 CONFIG = PolicyTrainConfig(
-    task=TASK, steps=STEPS, encoder=EncoderConfig(architecture="state", features=256), ppo=PPO_CONFIG, checkpoints=(),
-    threads=1,
+    task=TASK, steps=STEPS, encoder=EncoderConfig(architecture="state"), trunk=(256, 256), ppo=PPO_CONFIG,
+    checkpoints=(), threads=1,
 )  # fmt: skip
 
 
@@ -100,14 +102,15 @@ class StateEnv(gymnasium.ObservationWrapper[Any, Any, Any]):
 
 
 class Features(BaseFeaturesExtractor):
-    """Our state encoder, for SB3."""
+    """Our trunk, for SB3."""
 
     def __init__(self, space: spaces.Box) -> None:
-        super().__init__(space, CONFIG.encoder.features)
-        self.encoder = StateEncoder(CONFIG.encoder, torch.default_generator)
+        super().__init__(space, CONFIG.trunk[-1])
+        whole = ActorCritic(StateEncoder(CONFIG.encoder), N_ACTIONS, torch.default_generator, trunk=CONFIG.trunk)
+        self.trunk = whole.trunk
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        return self.encoder(observations)
+        return self.trunk(observations)
 
 
 class Returns(BaseCallback):

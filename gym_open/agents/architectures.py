@@ -9,7 +9,7 @@ from gym_open.agents.objects.encoders import KeypointEncoder, SlotEncoder
 
 def make_encoder(config: EncoderConfig, generator: torch.Generator) -> ImageEncoder | StateEncoder:
     """The untrained encoder that the configuration names, with weights from `generator`."""
-    return StateEncoder(config, generator) if config.architecture == "state" else make_image_encoder(config, generator)
+    return StateEncoder(config) if config.architecture == "state" else make_image_encoder(config, generator)
 
 
 def make_image_encoder(config: EncoderConfig, generator: torch.Generator) -> ImageEncoder:

@@ -15,6 +15,8 @@ OBJECT_ENCODERS = ("slots", "keypoints")
 """Architectures that find objects. They learn from exploration alone, and stay as they are while a policy learns."""
 SYMMETRIES = 8
 """Reflections and quarter turns of the table."""
+STATE_SIZE = 177
+"""Numbers in a simulator state: `envs.state.STATE_SIZE`, for which this module would have to load the simulator."""
 BOXES = 15
 """Boxes around the agent along each axis, in the features of such an encoder."""
 _NAME = r"(?!(?:random|oracle|human)\Z)[a-z0-9][a-z0-9+_-]{0,47}\Z"
@@ -31,9 +33,10 @@ class EncoderConfig(Config, frozen=True, kw_only=True):
 
     architecture: Architecture = "cnn"
     """`cnn` is the paper's three-layer network (Mnih et al. 2015), `impala` the deeper one of Espeholt et al. 2018.
-    `state` is for policies that see the simulator state instead of images: it shows what learning from images costs."""
+    `state` is for policies that see the simulator state instead of images: it shows what learning from images costs.
+    Such a policy needs a `trunk`."""
     features: Width = 512
-    """Width of the last layer of `cnn`, `impala` and `state`."""
+    """Width of the last layer of `cnn` and `impala`."""
     pixel_scale: PositiveFloat = 20.0
     """Pixels minus the mean image are multiplied by this over 255. Objects are only four pixels wide."""
     centre: bool = True
@@ -50,6 +53,8 @@ class EncoderConfig(Config, frozen=True, kw_only=True):
     @property
     def width(self) -> int:
         """Number of features that the encoder gives."""
+        if self.architecture == "state":
+            return STATE_SIZE
         if self.architecture not in OBJECT_ENCODERS:
             return self.features
         centroids, grid = 4 + 3 * self.slots, BOXES * BOXES * self.slots
@@ -58,10 +63,11 @@ class EncoderConfig(Config, frozen=True, kw_only=True):
 
 def check_symmetric(encoder: EncoderConfig, trunk: tuple[int, ...]) -> None:
     """Raise ValueError unless a trunk of these widths on this encoder can have the symmetries of the table."""
-    if encoder.architecture not in OBJECT_ENCODERS or encoder.frame != "table":
+    found = encoder.architecture in OBJECT_ENCODERS and encoder.frame == "table"
+    if not found and encoder.architecture != "state":
         raise ValueError(
             "`symmetric` needs features that are places on the table: `encoder.architecture` slots or keypoints with "
-            f"`encoder.frame` table, got {encoder.architecture!r} and {encoder.frame!r}"
+            f"`encoder.frame` table, or state, got {encoder.architecture!r} and {encoder.frame!r}"
         )
     if not trunk or any(width % SYMMETRIES for width in trunk):
         raise ValueError(f"`symmetric` needs a `trunk` of widths that are multiples of 8, got {list(trunk)}")

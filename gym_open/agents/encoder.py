@@ -1,8 +1,8 @@
 """Encoders: from observations, or from the simulator state, to features.
 
 `Encoder` centres and scales an image and passes it through one of two networks: the paper's three-layer one (Mnih et
-al. 2015), or the deeper one of IMPALA (Espeholt et al. 2018, figure 3 right, without its LSTM). `StateEncoder` takes
-the simulator state instead of an image: it is the upper bound for any encoder of images.
+al. 2015), or the deeper one of IMPALA (Espeholt et al. 2018, figure 3 right, without its LSTM). `StateEncoder` passes
+the simulator state on: it is the upper bound for any encoder of images.
 
 Departure from `deepmind/scalable_agent`: IMPALA's weights are orthogonal, as in the three-layer network. The last
 convolution of each residual block has a smaller gain, so that all six blocks together add about as much as they get.
@@ -21,8 +21,10 @@ from torch import Tensor, nn
 from gym_open.agents import convolve
 from gym_open.agents.augment import no_shifts, shift_each
 from gym_open.agents.config import EncoderConfig
-from gym_open.agents.symmetry import Turns
+from gym_open.agents.symmetry import Turns, TurnsBuilder
 from gym_open.agents.threads import through
+from gym_open.envs.physics.model import INVENTORY
+from gym_open.envs.puzzles import SIDES
 from gym_open.envs.state import STATE_SIZE
 from gym_open.precision import PrecisionSetting, resolve
 
@@ -213,22 +215,17 @@ class Encoder(ImageEncoder):
 
 
 class StateEncoder(nn.Module):
-    """From simulator state to features: two hidden layers with tanh, as in CleanRL's `ppo.py` for states."""
+    """Passes the simulator state on. What a policy learns from it, its trunk learns."""
 
     shape = (STATE_SIZE,)
     """Shape of an input."""
     dtype = torch.float32
     """Type of an input."""
-    turns: Turns | None = None
-    """The features are no places, so symmetries do not permute them."""
 
-    def __init__(self, config: EncoderConfig, generator: torch.Generator) -> None:
+    def __init__(self, config: EncoderConfig) -> None:
         super().__init__()
         self.config = config
-        first, second = nn.Linear(STATE_SIZE, config.features), nn.Linear(config.features, config.features)
-        for layer in (first, second):
-            init_layer(layer, generator)
-        self.layers = nn.Sequential(first, nn.Tanh(), second, nn.Tanh())
+        self.turns = _turns_of_state()
 
     def prepare(self, states: Tensor) -> Tensor:
         """Return the states unchanged, (B, `STATE_SIZE`) float32."""
@@ -239,5 +236,21 @@ class StateEncoder(nn.Module):
         return states
 
     def forward(self, prepared: Tensor) -> Tensor:
-        """Features (B, features) of states (B, `STATE_SIZE`)."""
-        return self.layers(prepared)
+        """The states, (B, `STATE_SIZE`)."""
+        return prepared
+
+
+def _turns_of_state() -> Turns:
+    """What the symmetries of the table do to a state vector, in the order of `envs.state.state_vector`."""
+    builder = TurnsBuilder()
+    for _ in INVENTORY:
+        builder.scalars(1)
+        builder.vectors(1)
+        builder.scalars(2)
+    builder.vectors(1)  # velocity
+    builder.scalars(1)
+    builder.vectors(1)
+    builder.directions([(column, -row) for row, column in SIDES.values()])
+    builder.scalars(1)
+    builder.vectors(1)
+    return builder.build()

@@ -106,6 +106,10 @@ class PolicyTrainConfig(Config, frozen=True, kw_only=True):
                 f"`frozen` must be true for `encoder.architecture` {self.encoder.architecture!r}: its features have no "
                 "gradients, got false"
             )
+        if self.encoder.architecture == "state" and not self.trunk:
+            raise ValueError(
+                "`trunk` must have a layer if `encoder.architecture` is 'state', got none: give [256, 256]"
+            )
         if self.symmetric:
             check_symmetric(self.encoder, self.trunk)
 

@@ -41,19 +41,19 @@ from gym_open.train import policy as training
 from gym_open.train.config import PolicyTrainConfig
 
 GAMMA, LAMBDA = 0.95, 0.9
-ENCODER = EncoderConfig(architecture="state", features=32)
+ENCODER, TRUNK = EncoderConfig(architecture="state"), (32, 32)
 SPACE = spaces.Box(-np.inf, np.inf, (STATE_SIZE,), np.float32)
 
 
 class Features(BaseFeaturesExtractor):
-    """Our state encoder, for SB3."""
+    """Our trunk, for SB3."""
 
     def __init__(self, space: spaces.Box) -> None:
-        super().__init__(space, ENCODER.features)
-        self.encoder = StateEncoder(ENCODER, torch.Generator())
+        super().__init__(space, TRUNK[-1])
+        self.trunk = agent().trunk
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        return self.encoder(observations)
+        return self.trunk(observations)
 
 
 class StateEnv(gymnasium.ObservationWrapper[Any, Any, Any]):
@@ -94,7 +94,7 @@ def modules(model: PPO, agent: ActorCritic) -> list[tuple[torch.nn.Module, torch
     theirs = model.policy
     assert isinstance(theirs.features_extractor, Features)
     return [
-        (theirs.features_extractor.encoder, agent.encoder),
+        (theirs.features_extractor.trunk, agent.trunk),
         (theirs.action_net, agent.actor),
         (theirs.value_net, agent.critic),
     ]
@@ -148,7 +148,7 @@ def test_advantages_and_returns(seed: int) -> None:
 
 def agent() -> ActorCritic:
     generator = torch.Generator().manual_seed(0)
-    return ActorCritic(StateEncoder(ENCODER, generator), N_ACTIONS, generator)
+    return ActorCritic(StateEncoder(ENCODER), N_ACTIONS, generator, trunk=TRUNK)
 
 
 CONFIG = PPOConfig(
@@ -202,7 +202,9 @@ def test_clipped_values_are_the_worse_of_both() -> None:
 def test_a_whole_run_of_train_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With our initial weights, actions and shuffles, SB3 has the same observations, rewards and updates."""
     ppo = msgspec.structs.replace(CONFIG, minibatch_size=100, update_epochs=3, learning_rate=5e-4)
-    config = PolicyTrainConfig(steps=440, num_envs=4, num_steps=110, encoder=ENCODER, ppo=ppo, threads=1, seed=3)
+    config = PolicyTrainConfig(
+        steps=440, num_envs=4, num_steps=110, encoder=ENCODER, trunk=TRUNK, ppo=ppo, threads=1, seed=3
+    )
     kept: list[tuple[ActorCritic, Rollout]] = []
     shuffles: list[torch.Tensor] = []
 

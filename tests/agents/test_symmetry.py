@@ -6,10 +6,12 @@ import torch
 
 from gym_open.agents.architectures import make_encoder
 from gym_open.agents.config import EncoderConfig
+from gym_open.agents.encoder import StateEncoder
 from gym_open.agents.policy import ActorCritic
 from gym_open.agents.symmetry import ACTIONS, ELEMENTS, QUOTIENTS, TurnsBuilder
 from gym_open.envs.constants import MOVES
-from gym_open.envs.puzzles import Placement, Puzzle
+from gym_open.envs.puzzles import Pen, Placement, Puzzle
+from gym_open.envs.state import STATE_SIZE, state_vector
 from gym_open.envs.world import World
 
 TABLE = EncoderConfig(architecture="slots", slots=2)
@@ -80,6 +82,25 @@ def test_a_plain_policy_does_not() -> None:
     assert made.encoder.turns is not None
     source, sign = made.encoder.turns
     assert not torch.allclose(made.heads(features)[1], made.heads(features[:, source[3]] * sign[3])[1], atol=1e-3)
+
+
+def test_a_turned_world_has_the_turned_state() -> None:
+    """Turns of the simulator state are those of the simulator: a mirrored puzzle has the mirrored state vector."""
+    objects = (Placement("agent", 4, 4), Placement("yellow", 2, 6), Placement("heavy", 12, 1))
+    mirrored = (Placement("agent", 4, 4), Placement("yellow", 2, 2), Placement("heavy", 12, 7))
+    states = []
+    for placed, side, at in ((objects, "east", 3), (mirrored, "west", 5)):
+        world = World()
+        world.load(Puzzle(task="sandbox", objects=placed, pen=Pen(row=8, column=at, ramp_side=side)))  # type: ignore
+        states.append(torch.from_numpy(state_vector(world)))
+    source, sign = StateEncoder(EncoderConfig(architecture="state")).turns
+    mirror = next(g for g, element in enumerate(ELEMENTS) if (element == [[-1, 0], [0, 1]]).all())
+    turned = states[0][source[mirror]] * sign[mirror]
+    torch.testing.assert_close(turned, states[1], atol=0.06, rtol=0)  # the cells' middle is not quite the table's
+
+
+def test_the_configuration_knows_the_size_of_a_state() -> None:
+    assert EncoderConfig(architecture="state").width == STATE_SIZE
 
 
 def test_features_of_a_network_have_no_symmetries() -> None:

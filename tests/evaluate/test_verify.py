@@ -51,7 +51,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Path]:
     root = tmp_path_factory.mktemp("scores")
     config = PolicyTrainConfig(
         task="avoidance", steps=32, num_envs=2, num_steps=8, checkpoints=(16,), threads=1,
-        encoder=EncoderConfig(architecture="state", features=8), ppo=PPOConfig(learning_rate=0.1),
+        encoder=EncoderConfig(architecture="state"), trunk=(8,), ppo=PPOConfig(learning_rate=0.1),
     )  # fmt: skip
     policy = train_policy(config, None, root / "policy").path
     other = train_policy(msgspec.structs.replace(config, seed=1), None, root / "other").path

@@ -24,7 +24,7 @@ ENCODER = _lineage("encoder", {"world_model": "icm"}, _lineage("release", {}, LO
     ("start", "changes", "name"),
     [
         (None, {}, "scratch"),
-        (None, {"encoder": EncoderConfig(architecture="state")}, "state"),
+        (None, {"encoder": EncoderConfig(architecture="state"), "trunk": (8,)}, "state"),
         (None, {"encoder": EncoderConfig(architecture="impala")}, "scratch-impala"),
         (LOG, {}, "curl+ride"),
         (LOG, {"frozen": True}, "curl+ride-frozen"),

@@ -75,7 +75,7 @@ def test_checkpoints_are_the_policy_as_it_was_then(tmp_path: Path) -> None:
 
 
 def test_state_in_place_of_pictures(tmp_path: Path) -> None:
-    config = msgspec.structs.replace(TINY, encoder=EncoderConfig(architecture="state", features=8))
+    config = msgspec.structs.replace(TINY, encoder=EncoderConfig(architecture="state"), trunk=(8,))
     trainer = _PolicyTrainer(config, None, tmp_path)
     with bar("test", 1) as shown:
         rollout, _ = trainer.collect(shown)
