@@ -1,16 +1,21 @@
 """Encoders that find objects, on images that are painted here: what they must find is known."""
 
+import math
 from typing import Literal
 
 import numpy as np
 import pytest
 import torch
+from gymnasium.vector import AutoresetMode
 
 from gym_open.agents.architectures import make_image_encoder
 from gym_open.agents.config import EncoderConfig, ObjectsConfig
 from gym_open.agents.objects import Objects
 from gym_open.agents.objects.encoders import ObjectEncoder, SlotEncoder
+from gym_open.agents.objects.plane import CELLS, plane_of
 from gym_open.agents.world_model import TransitionBatch
+from gym_open.envs.constants import CAMERA_POSITION, FIELD_OF_VIEW, PITCH, camera_axes
+from gym_open.envs.vector import OpenVectorEnv
 
 MOVES = [(0, 0), (-4, 0), (4, 0), (0, -4), (0, 4)]
 COLOURS = np.array([[230, 40, 40], [40, 200, 60], [50, 60, 230]], np.uint8)
@@ -99,3 +104,48 @@ def test_too_few_pixels_of_objects_are_told() -> None:
     empty = made.mean_image.permute(1, 2, 0).to(torch.uint8)[None]
     with pytest.raises(ValueError, match="0 pixels differ from the background, expected 3 or more"):
         made.fit_colours(empty, np.random.default_rng(0))
+
+
+@pytest.mark.learning
+def test_moves_in_the_world_show_where_the_true_camera_is() -> None:
+    """300 worlds, ten moves in each: places that the encoder derives from its moves are those of the ray caster."""
+    env = OpenVectorEnv(50, "sandbox", autoreset_mode=AutoresetMode.DISABLED, copy=True)
+    rng, pairs = np.random.default_rng(0), list[tuple[np.ndarray, np.ndarray, np.ndarray]]()
+    for _ in range(6):
+        seen, _ = env.reset(seed=rng.integers(0, 2**31, 50).tolist())
+        for _ in range(10):
+            actions = rng.integers(0, 9, 50)
+            after = env.step(actions)[0]
+            pairs.append((seen, actions, after))
+            seen = after
+    play = TransitionBatch(*(torch.from_numpy(np.concatenate(part)) for part in zip(*pairs, strict=True)))
+    config = EncoderConfig(architecture="slots")
+    made = make_image_encoder(config, torch.Generator())
+    assert isinstance(made, SlotEncoder)
+    made.set_mean_image(play.obs[::3])
+    model = Objects(made, ObjectsConfig(), 9, torch.Generator().manual_seed(0))
+    model.watch(play.obs[::3])
+    optimizer = torch.optim.Adam(model.parameters(), lr=3e-3)
+    for step in range(150):
+        chosen = torch.from_numpy(np.random.default_rng(step).integers(0, len(play.obs), 128))
+        loss, _ = model.measure(TransitionBatch(*(part[chosen] for part in play)), torch.zeros(0), torch.Generator())
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    found = model.finish(play)
+    assert found["plane_moves"] > 1000
+    assert found["plane_error"] < 0.15
+    places = plane_of(made.homography.numpy()).places * PITCH
+    true = table_places(height=0.04)
+    inside = (np.abs(true) < [0.55, 1.0]).all(axis=2)
+    assert np.median(np.linalg.norm(places - true, axis=2)[inside]) < 0.05  # metres; a cell is 0.141
+    np.testing.assert_allclose(made.reach.numpy() * PITCH, [0.591, 1.072], atol=0.08)
+
+
+def table_places(height: float) -> np.ndarray:
+    """Where the middle of each cell of a map looks at the plane at this height, (42, 42, 2) in metres."""
+    right, up, forward = camera_axes()
+    position, reach = np.array(CAMERA_POSITION), math.tan(math.radians(FIELD_OF_VIEW / 2))
+    across = (np.arange(CELLS) + 0.5) / (CELLS / 2) - 1
+    rays = reach * (across[None, :, None] * right - across[:, None, None] * up) + forward
+    return (position + (height - position[2]) / rays[..., 2:] * rays)[..., :2]
