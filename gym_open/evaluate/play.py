@@ -14,6 +14,7 @@ from gym_open.config import to_dict
 from gym_open.envs.constants import N_ACTIONS
 from gym_open.envs.env import OpenEnv
 from gym_open.envs.fleet import Fleet
+from gym_open.envs.options import WorldOptions
 from gym_open.envs.puzzles import Puzzle, Task
 from gym_open.envs.puzzles.sets import published_digests, puzzle_id, puzzles_of
 from gym_open.envs.puzzles.witnesses import witness_name, witnesses_of
@@ -172,8 +173,9 @@ def _write(
 
 
 def play(
-    actor: Actor, task: Task, puzzles: tuple[Puzzle, ...], config: EvaluateConfig, *, states: bool = False
-) -> Episodes:
+    actor: Actor, task: Task, puzzles: tuple[Puzzle, ...], config: EvaluateConfig, *, states: bool = False,
+    world: WorldOptions | None = None,
+) -> Episodes:  # fmt: skip
     """Play every puzzle once, all at the same time; each has its own named generator, so order does not matter.
 
     Args:
@@ -182,8 +184,10 @@ def play(
         puzzles: the puzzles.
         config: way of choosing actions, seed, threads.
         states: give the actor the simulator states instead of images.
+        world: options of the worlds, for studies; scores are of the published world, None.
     """
-    return _episodes(chooser(actor, task, len(puzzles), config), task, puzzles, threads=config.threads, states=states)
+    choose = chooser(actor, task, len(puzzles), config)
+    return _episodes(choose, task, puzzles, threads=config.threads, states=states, world=world)
 
 
 def chooser(actor: Actor, task: Task, n: int, config: EvaluateConfig) -> ChooseActions:
@@ -207,12 +211,13 @@ def replay(task: Task, puzzles: tuple[Puzzle, ...], sequences: Sequence[Sequence
 
 
 def _episodes(
-    choose: ChooseActions, task: Task, puzzles: tuple[Puzzle, ...], *, threads: int, states: bool = False
-) -> Episodes:
+    choose: ChooseActions, task: Task, puzzles: tuple[Puzzle, ...], *, threads: int, states: bool = False,
+    world: WorldOptions | None = None,
+) -> Episodes:  # fmt: skip
     """Play until all episodes have ended; the world of an ended episode is neither stepped nor drawn."""
     n, N = len(puzzles), step_budget(task)
     with progress.doing("preparing the puzzles", progress.COMPILES):
-        envs = [OpenEnv(task) for _ in puzzles]
+        envs = [OpenEnv(task, world=world) for _ in puzzles]
         images = np.stack([env.reset(seed=0, options={"puzzle": p})[0] for env, p in zip(envs, puzzles, strict=True)])
     actions = np.full((n, N), -1, dtype=np.int8)
     rewards = np.zeros((n, N))

@@ -173,7 +173,7 @@ class _Planner:
         """Add one agent's training on one task with one seed, and its scores at every checkpoint."""
         made = self.encoder(agent, seed)
         config = self.read(
-            "policy", agent.policy, PolicyTrainConfig,
+            "policy", agent.policies.get(task, agent.policy), PolicyTrainConfig,
             task=task, seed=seed, threads=1, agent=agent.name, frozen=agent.frozen,
             steps=self.config.policy_steps, checkpoints=self.config.checkpoints,
         )  # fmt: skip

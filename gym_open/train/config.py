@@ -107,9 +107,7 @@ class PolicyTrainConfig(Config, frozen=True, kw_only=True):
                 "gradients, got false"
             )
         if self.encoder.architecture == "state" and not self.trunk:
-            raise ValueError(
-                "`trunk` needs a layer if `encoder.architecture` is 'state', got none: give [256, 256]"
-            )
+            raise ValueError("`trunk` needs a layer if `encoder.architecture` is 'state', got none: give [256, 256]")
         if self.symmetric:
             check_symmetric(self.encoder, self.trunk)
 

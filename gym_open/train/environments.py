@@ -9,6 +9,7 @@ from gymnasium.vector import AutoresetMode
 
 from gym_open import seeding
 from gym_open.envs.env import EnvSnapshot
+from gym_open.envs.options import WorldOptions
 from gym_open.envs.puzzles import Task
 from gym_open.envs.state import STATE_SIZE, state_vector
 from gym_open.envs.vector import OpenVectorEnv
@@ -46,13 +47,19 @@ class TrainingEnvironments:
         seed: root seed of the puzzles.
         states: observe the simulator state instead of images.
         threads: number of threads that step the environments.
+        world: options of their worlds; None means the published world.
 
     Attributes:
         seen: observations for the next actions, (N, 84, 84, 3) uint8 or (N, `STATE_SIZE`) float32.
     """
 
-    def __init__(self, task: Task, num_envs: int, seed: int, *, states: bool = False, threads: int = 1) -> None:
-        self._venv = OpenVectorEnv(num_envs, task, autoreset_mode=AutoresetMode.DISABLED, copy=False, threads=threads)
+    def __init__(
+        self, task: Task, num_envs: int, seed: int, *, states: bool = False, threads: int = 1,
+        world: WorldOptions | None = None,
+    ) -> None:  # fmt: skip
+        self._venv = OpenVectorEnv(
+            num_envs, task, world=world, autoreset_mode=AutoresetMode.DISABLED, copy=False, threads=threads
+        )
         self._states = np.empty((num_envs, STATE_SIZE), np.float32) if states else None
         self.totals, self.lengths = np.zeros(num_envs), np.zeros(num_envs, dtype=np.int64)
         self._images, _ = self._venv.reset(seed=[seeding.integer(seed, "policy", "env", i) for i in range(num_envs)])

@@ -10,6 +10,7 @@ from msgspec import structs
 
 from gym_open import artefacts, progress, seeding
 from gym_open.agents.architectures import make_encoder
+from gym_open.agents.config import OBJECT_ENCODERS
 from gym_open.agents.encoder import Encoder, ImageEncoder, StateEncoder, autocast
 from gym_open.agents.policy import ActorCritic
 from gym_open.agents.ppo import PPOStats, Rollout, ppo_update
@@ -129,7 +130,7 @@ def _name(config: PolicyTrainConfig, lineage: artefacts.Lineage | None) -> str:
         parts.append(architecture)
     if lineage is not None and config.transfer != "scaled":
         parts.append(config.transfer)
-    if config.frozen:
+    if config.frozen and architecture not in OBJECT_ENCODERS:  # these are always frozen
         parts.append("frozen")
     return "-".join(parts)
 

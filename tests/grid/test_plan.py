@@ -99,6 +99,13 @@ def test_one_exploration_run_for_all_seeds_or_one_for_each() -> None:
         assert [job.config.seed for job in jobs.values() if isinstance(job.config, PolicyTrainConfig)] == [3, 4]
 
 
+def test_a_task_may_have_a_configuration_of_its_own() -> None:
+    agent = {**SCRATCH, "policies": {"tool-use": "train/policy-strong-tool-use.toml"}}
+    jobs = plan(tasks=["goal-seeking", "tool-use"], agents=[agent])
+    found = [job.config for job in jobs.values() if isinstance(job.config, PolicyTrainConfig)]
+    assert [(config.task, config.ppo.gamma) for config in found] == [("goal-seeking", 0.95), ("tool-use", 0.99)]
+
+
 def test_only_policies_take_greedy_actions(tmp_path: Path) -> None:
     (tmp_path / "train").symlink_to(ROOT / "train")
     (tmp_path / "evaluate").mkdir()
