@@ -2,6 +2,7 @@
 
 from typing import Annotated, Literal
 
+import msgspec
 from msgspec import Meta
 
 from gym_open.agents.config import AgentName
@@ -19,7 +20,7 @@ class AgentConfig(Config, frozen=True, kw_only=True):
     """Name of its row in tables, and part of folder names."""
     policy: File
     """Configuration of `train policy`. Task, seed and other values of the grid replace those in the file."""
-    policies: dict[TaskName, File] = {}
+    policies: dict[TaskName, File] = msgspec.field(default_factory=dict[TaskName, File])
     """Configurations of `train policy` for tasks that need another one than `policy`."""
     collect: File | None = None
     """Configuration of its exploration. Without it, the agent learns each task from scratch."""

@@ -38,18 +38,19 @@ def test_the_grid_of_the_paper() -> None:
     jobs = make_plan(config, Path("out"), root=ROOT)
     policies = [job.config for job in jobs if isinstance(job.config, PolicyTrainConfig)]
     grid = {(policy.agent, policy.task, policy.seed) for policy in policies}
-    assert len(policies) == len(grid) == 7 * 4 * 3
+    assert len(policies) == len(grid) == 8 * 4 * 3
     assert {policy.steps for policy in policies} == {1_000_000}
     plays = [job.config for job in jobs if isinstance(job.config, CollectConfig)]
     assert {play.explorer.name for play in plays} == {"icm", "icm+ride", "rnd", "rnd+ride", "curl+random", "curl+ride"}
     assert len(plays) == 6 * 3
     assert {play.steps for play in plays} == {2_000_000}
-    assert {policy.agent for policy in policies} == {play.explorer.name for play in plays} | {"scratch"}
+    assert {policy.agent for policy in policies} == {play.explorer.name for play in plays} | {"scratch", "paper"}
+    assert {policy.ppo.gamma for policy in policies if policy.task == "tool-use" and policy.agent != "paper"} == {0.99}
     stages = Counter(job.stage for job in jobs)
-    assert stages["evaluate"] == 84 * 3 + 2 * 4  # at 200K, 500K and the end; random and oracle once per task
+    assert stages["evaluate"] == 96 * 3 + 2 * 4  # at 200K, 500K and the end; random and oracle once per task
     assert stages["train probe"] == len(plays)
     starts = {job.config.agent: job.needs for job in jobs if isinstance(job.config, PolicyTrainConfig)}
-    assert starts.pop("scratch") == ()
+    assert starts.pop("scratch") == starts.pop("paper") == ()
     for agent, needs in starts.items():
         (play,) = needs
         assert isinstance(play.config, CollectConfig)
