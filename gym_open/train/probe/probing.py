@@ -25,17 +25,18 @@ from gym_open.train.probe.worlds import BODIES, MOVES, ProbeSample, draw_samples
 
 PROBE = "probe.json"
 PARTS = ("train", "validation", "test")
-TARGETS = (*BODIES, "displacement", "contact", "move")
-"""What the probes predict: the position of each body; for a given move, how far it takes the agent and whether it
-touches something; and the move itself, from the images before and after it."""
+PLACES = (*BODIES, "to_yellow")
+TARGETS = (*PLACES, "displacement", "contact", "move")
+"""What the probes predict: the position of each body; where the goal is, seen from the agent; for a given move, how far
+it takes the agent and whether it touches something; and the move itself, from the images before and after it."""
 MEASURES = {"displacement": "r2", "contact": "auc", "move": "accuracy"}
-"""Measure of each target; positions have `r2`."""
+"""Measure of each target; places have `r2`."""
 BATCH = 500
 
 
 @dataclass(frozen=True)
 class ProbeResult:
-    """Results for one kind of features: scores by target, and mean distances in cells by body."""
+    """Results for one kind of features: scores by target, and mean distances in cells by place."""
 
     scores: dict[str, ProbeScore]
     cells: dict[str, float]
@@ -56,8 +57,8 @@ def probe(config: ProbeConfig, encoder: Path, out: Path) -> artefacts.Outcome:
 
     Targets:
 
-    - positions of `agent`, `yellow`, `green`, `heavy` and `light`: r2 over both coordinates; `error_cells`, for
-      positions only, is the mean distance in cells of the grid;
+    - positions of `agent`, `yellow`, `green`, `heavy` and `light`, and of yellow relative to the agent, `to_yellow`: r2
+      over both coordinates; `error_cells`, for these only, is the mean distance in cells of the grid;
     - `displacement` of the agent in its next move (r2 over the mean of that move) and `contact` in it (area under the
       ROC curve), with one map per move;
     - `move`, one of eight, from the difference of the features after and before it: the map predicts its direction, and
@@ -133,7 +134,7 @@ def _guesses(samples: Mapping[str, ProbeSample]) -> dict[str, float]:
 
 def _mean(found: list[ProbeResult]) -> ProbeResult:
     scores = {target: mean_score([one.scores[target] for one in found]) for target in TARGETS}
-    return ProbeResult(scores, {body: float(np.mean([one.cells[body] for one in found])) for body in BODIES})
+    return ProbeResult(scores, {place: float(np.mean([one.cells[place] for one in found])) for place in PLACES})
 
 
 def _untrained(config: ProbeConfig, trained: ImageEncoder, number: int) -> ImageEncoder:
@@ -168,17 +169,24 @@ def _look(
 def _positions(
     config: ProbeConfig, features: Mapping[str, Tensor], samples: Mapping[str, ProbeSample], resamples: np.ndarray
 ) -> tuple[dict[str, ProbeScore], dict[str, float]]:
-    """Predict the positions of bodies from the first image of each world."""
+    """Predict the positions of bodies, and of yellow relative to the agent, from the first image of each world."""
     x = {part: _numbers(features[part][:, 0]) for part in PARTS}
-    y = {part: samples[part].positions[:, 0].flatten(1) for part in PARTS}
-    found = _fitted(config, x, y).unflatten(1, (len(BODIES), 2))
-    true = samples["test"].positions[:, 0]
-    errors = (found - true).square().sum(dim=2)
-    guess_errors = (true - samples["train"].positions[:, 0].mean(dim=0)).square().sum(dim=2)
+    true = {part: _places(samples[part]) for part in PARTS}
+    found = _fitted(config, x, {part: places.flatten(1) for part, places in true.items()})
+    errors = (found.unflatten(1, (len(PLACES), 2)) - true["test"]).square().sum(dim=2)
+    guess_errors = (true["test"] - true["train"].mean(dim=0)).square().sum(dim=2)
     scores = {
-        body: r2_score(errors[:, i].numpy(), guess_errors[:, i].numpy(), resamples) for i, body in enumerate(BODIES)
+        place: r2_score(errors[:, i].numpy(), guess_errors[:, i].numpy(), resamples) for i, place in enumerate(PLACES)
     }
-    return scores, {body: errors[:, i].sqrt().mean().item() / PITCH for i, body in enumerate(BODIES)}
+    return scores, {place: errors[:, i].sqrt().mean().item() / PITCH for i, place in enumerate(PLACES)}
+
+
+def _places(sample: ProbeSample) -> Tensor:
+    """(W, places, 2) in the order of `PLACES`."""
+    bodies = sample.positions[:, 0]
+    names = list(BODIES)
+    relative = bodies[:, names.index("yellow")] - bodies[:, names.index("agent")]
+    return torch.cat([bodies, relative[:, None]], dim=1)
 
 
 def _consequences(

@@ -27,7 +27,7 @@ from gym_open.train.probe.probing import TARGETS, logged_puzzles, probe, score
 from gym_open.train.probe.worlds import BODIES, MOVES, ONE_OF_EACH, ProbeSample, draw_samples
 
 TINY = ProbeConfig(train_worlds=12, validation_worlds=6, test_worlds=6, moves=2, pixels=False, threads=1)
-POSITIONS = {"agent", "yellow", "green", "heavy", "light"}
+POSITIONS = {"agent", "yellow", "green", "heavy", "light", "to_yellow"}
 
 
 @pytest.fixture(scope="module")
@@ -96,6 +96,7 @@ def test_what_pictures_tell_is_found_and_what_they_do_not_is_not() -> None:
         assert found["agent"]["value"] > 0.95
         assert found["agent"]["error_cells"] < 0.1 / PITCH
         assert found["yellow"]["value"] < 0.1
+        assert 0.3 < found["to_yellow"]["value"] < 0.7  # half of it is where the agent is, the rest cannot be known
         assert found["contact"]["value"] > 0.95
         assert found["displacement"]["value"] > 0.8
         assert found["move"]["value"] > 0.6  # a blocked one looks like no other
