@@ -37,7 +37,8 @@ def shrunk(name: str, tiny: CollectConfig) -> CollectConfig:
 
 
 def test_all_of_the_papers_explorers_exist_and_share_their_settings() -> None:
-    configurations = [one for name in NAMES if (one := configuration(name)).explorer.name in PAPER]
+    names = [name for name in NAMES if name != "random-wide"]  # as many worlds as possible, for encoders of objects
+    configurations = [one for name in names if (one := configuration(name)).explorer.name in PAPER]
     assert {one.explorer.name for one in configurations} == PAPER
     for one in configurations:
         assert (one.steps, one.streams, one.rollout, one.pool, one.seed) == (20_480, 4, 64, 12, 0)

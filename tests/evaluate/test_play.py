@@ -175,6 +175,7 @@ def _trained(out: Path, architecture: Architecture) -> Path:
     config = PolicyTrainConfig(
         steps=64, num_envs=4, num_steps=8, mean_images=4, checkpoints=(20, 10_000), seed=7, threads=1, agent="mine",
         encoder=EncoderConfig(architecture=architecture, features=16), ppo=PPOConfig(learning_rate=0.01),
+        trunk=(16,) if architecture == "state" else (),
     )  # fmt: skip
     return train_policy(config, None, out).path
 
@@ -216,7 +217,7 @@ def _check_scored(policy: Path, out: Path, at: int | None, trained: int, folder:
     def actor(seen: np.ndarray) -> np.ndarray:
         with torch.no_grad():
             features = network.encoder(network.encoder.prepare(torch.from_numpy(seen)))
-            return torch.softmax(network.actor(features).double(), dim=1).numpy()
+            return torch.softmax(network.actor(network.trunk(features)).double(), dim=1).numpy()
 
     states = network.encoder.config.architecture == "state"
     expected = play(actor, "goal-seeking", fixed_puzzles("goal-seeking")[:2], config, states=states)

@@ -51,7 +51,7 @@ class ObjectEncoder(ImageEncoder, ABC):
     def __init__(self, config: EncoderConfig) -> None:
         super().__init__(config)
         self.agent_logits = nn.Parameter(torch.zeros(config.slots))
-        self.register_buffer("homography", torch.from_numpy(UNFITTED))
+        self.register_buffer("homography", torch.tensor(UNFITTED))
         self.register_buffer("reach", torch.full((2,), CELLS / 4, dtype=torch.float64))
         self.turns = turns_of(config)
 

@@ -12,7 +12,7 @@ from gym_open.agents.architectures import make_image_encoder
 from gym_open.agents.config import EncoderConfig, ObjectsConfig
 from gym_open.agents.objects import Objects
 from gym_open.agents.objects.encoders import ObjectEncoder, SlotEncoder
-from gym_open.agents.objects.plane import CELLS, plane_of
+from gym_open.agents.objects.plane import CELLS, UNFITTED, plane_of
 from gym_open.agents.world_model import TransitionBatch
 from gym_open.envs.constants import CAMERA_POSITION, FIELD_OF_VIEW, PITCH, camera_axes
 from gym_open.envs.vector import OpenVectorEnv
@@ -95,6 +95,16 @@ def test_keypoints_learn_to_reconstruct_and_to_name_the_action() -> None:
     features = model.encoder.encode(scenes(5, 3).obs)
     assert features.shape == (5, model.encoder.config.width)
     assert features.isfinite().all()
+
+
+def test_two_encoders_have_two_tables() -> None:
+    one, other = (make_image_encoder(EncoderConfig(architecture="slots"), torch.Generator()) for _ in range(2))
+    assert isinstance(one, SlotEncoder)
+    assert isinstance(other, SlotEncoder)
+    before = other.homography.clone()
+    one.homography.mul_(2)
+    assert torch.equal(other.homography, before)
+    assert torch.equal(torch.tensor(UNFITTED), before)
 
 
 def test_too_few_pixels_of_objects_are_told() -> None:
