@@ -89,12 +89,15 @@ def draw_png(
         return png(figure)
 
 
-def finish(axes: "Axes", *, fontsize: int = 9, empty: str = "no data") -> None:
-    """Add a grid, remove top and right spines, and add a legend; without labels, show the text `empty` instead."""
+def finish(axes: "Axes", *, fontsize: int = 9, empty: str = "no data", legend: str = "best") -> None:
+    """Add a grid, remove top and right spines, and add a legend; without labels, show the text `empty` instead.
+
+    `legend` is the legend's place, as matplotlib names it.
+    """
     axes.grid(alpha=0.25, linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)
     if axes.get_legend_handles_labels()[0]:
-        axes.legend(frameon=False, fontsize=fontsize)
+        axes.legend(frameon=False, fontsize=fontsize, loc=legend)
     elif empty:
         write_in_middle(axes, empty)
 

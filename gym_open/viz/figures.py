@@ -47,8 +47,9 @@ def draw_run_figure(log: Path, others: Sequence[Path], save: Path) -> Path:
         _exploration(left, log)
         _fine_tuning(middle, policies, task)
         _score(right, scores, task)
-        for axes in (left, middle, right):
+        for axes in (left, middle):
             finish(axes)
+        finish(right, legend="upper left")
 
     png = draw_png(15, 4.6, paint, dpi=120)
     return write_whole(save, lambda partial: partial.write_bytes(png))
@@ -111,6 +112,7 @@ def _score(axes: "Axes", scores: Sequence[Path], task: str) -> None:
         label = f"{name}: A-Success {record['a_success']:.3f}" + (f" ± {half:.3f}" if half is not None else "")
         style = {**STYLES[name], "marker": None if len(within) > 1 else STYLES[name]["marker"]}
         axes.plot(np.arange(1, len(within) + 1), within, **style, linewidth=1.8, label=label)
+        axes.set_ylim(0, 1.35)  # returns are at most 1; the legend is above them
         if "puzzles" in record:
             axes.set_title(f"{task}, {record['puzzles']} fixed puzzles")
 
