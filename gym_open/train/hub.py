@@ -6,14 +6,16 @@ from pathlib import Path
 from typing import Self
 
 import msgspec
+import numpy as np
 import torch
 from huggingface_hub import ModelCard, PyTorchModelHubMixin, snapshot_download
 from huggingface_hub.errors import HFValidationError, LocalEntryNotFoundError
 from huggingface_hub.utils import validate_repo_id  # pyright: ignore[reportPrivateImportUsage]
+from torch import Tensor, nn
 
 from gym_open import artefacts
+from gym_open.agents.architectures import make_image_encoder
 from gym_open.agents.config import EncoderConfig
-from gym_open.agents.encoder import Encoder
 from gym_open.artefacts import MANIFEST, Lineage
 from gym_open.config import to_dict
 from gym_open.errors import GymOpenError, UsageError
@@ -24,7 +26,7 @@ CARD = "README.md"
 
 
 class HubEncoder(
-    Encoder,
+    nn.Module,
     PyTorchModelHubMixin,
     library_name="gym-open",
     license="mit",
@@ -37,12 +39,25 @@ class HubEncoder(
 
     Args:
         encoder: configuration of the network; the mixin keeps it in `config.json`.
+
+    Attributes:
+        network: the encoder itself.
     """
 
     artefact: Path | None = None
 
     def __init__(self, encoder: EncoderConfig) -> None:
-        super().__init__(encoder, torch.Generator())
+        super().__init__()
+        self.config = encoder
+        self.network = make_image_encoder(encoder, torch.Generator())
+
+    def encode(self, images: Tensor | np.ndarray) -> Tensor:
+        """Features (B, width), fp32 and without gradient, of images (B, 84, 84, 3) uint8."""
+        return self.network.encode(images)
+
+    def forward(self, images: Tensor) -> Tensor:
+        """The same with gradients, if the network has them."""
+        return self.network(self.network.prepare(images))
 
     @classmethod
     def of(cls, artefact: Path) -> Self:
@@ -50,21 +65,15 @@ class HubEncoder(
 
         Raises:
             ArtefactError: if a file is missing or damaged.
-            UsageError: if the encoder finds objects; the hub's class is the network `Encoder`.
         """
         source = load_encoder(artefact)
-        if not isinstance(source, Encoder):
-            raise UsageError(
-                f"{artefact}: an encoder of architecture {source.config.architecture!r} cannot be sent to a hub by "
-                "this version; give one of architecture cnn or impala"
-            )
         made = cls(encoder=source.config)
-        made.load_state_dict(source.state_dict())
+        made.network = source
         return made
 
     def _save_pretrained(self, save_directory: Path) -> None:
         if self.artefact is None:
-            save_encoder(save_directory, self)
+            save_encoder(save_directory, self.network)
             return
         for name in _files(self.artefact):
             (save_directory / name).parent.mkdir(parents=True, exist_ok=True)
@@ -103,10 +112,10 @@ class HubEncoder(
         config = self.config
         return [
             "# An image encoder of gym-open", "",
-            f"Network `{config.architecture}`: 84×84 RGB images of OPEn's table to {config.features} features.", "",
+            f"Network `{config.architecture}`: 84×84 RGB images of OPEn's table to {config.width:,} features.", "",
             "```python", "from gym_open.train.hub import HubEncoder", "",
             f'encoder = HubEncoder.from_pretrained("{repository}")',
-            f"features = encoder.encode(images)  # (B, 84, 84, 3) uint8 to (B, {config.features}) float32", "```",
+            f"features = encoder.encode(images)  # (B, 84, 84, 3) uint8 to (B, {config.width}) float32", "```",
         ]  # fmt: skip
 
 

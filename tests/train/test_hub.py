@@ -61,14 +61,14 @@ def hub(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     return there
 
 
-def same(one: ImageEncoder, other: ImageEncoder) -> None:
+def same(one: ImageEncoder | HubEncoder, other: ImageEncoder | HubEncoder) -> None:
     assert one.config == other.config
     assert torch.equal(one.encode(IMAGES), other.encode(IMAGES))
 
 
 def test_save_pretrained_and_from_pretrained_round_trip(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     made = HubEncoder(encoder=EncoderConfig(architecture="impala", features=8))
-    made.set_mean_image(IMAGES)
+    made.network.set_mean_image(IMAGES)
     made.save_pretrained(tmp_path / "saved")
     same(HubEncoder.from_pretrained(tmp_path / "saved"), made)
     same(load_encoder(tmp_path / "saved"), made)

@@ -14,7 +14,7 @@ from gym_open.agents.objects.encoders import ObjectEncoder, SlotEncoder
 from gym_open.agents.policy import ActorCritic
 from gym_open.agents.symmetry import ACTIONS
 from gym_open.config import decode, load
-from gym_open.errors import ArtefactError, ConfigError, UsageError
+from gym_open.errors import ArtefactError, ConfigError
 from gym_open.formats.models import load_encoder, load_policy, save_encoder
 from gym_open.train.config import EncoderTrainConfig, PolicyTrainConfig
 from gym_open.train.encoder import train_encoder
@@ -143,10 +143,13 @@ def test_what_does_not_fit_is_refused_by_name(kind: type, data: dict[str, object
         decode(data, kind, source="test")
 
 
-def test_it_cannot_be_sent_to_a_hub(release: Path, tmp_path: Path) -> None:
+def test_it_travels_by_a_hub(release: Path, tmp_path: Path) -> None:
     made = train_encoder(encoder_config("slots"), release, tmp_path / "e").path
-    with pytest.raises(UsageError, match="'slots' cannot be sent to a hub by this version"):
-        HubEncoder.of(made)
+    HubEncoder.of(made).save_pretrained(tmp_path / "kept")
+    images = torch.randint(0, 256, (3, 84, 84, 3), dtype=torch.uint8)
+    found = HubEncoder.from_pretrained(tmp_path / "kept")
+    assert torch.equal(found.encode(images), load_encoder(made).encode(images))
+    assert "13 features" in str(found.generate_model_card())
 
 
 def test_the_encoder_can_learn_more_slowly_than_the_heads(tmp_path: Path) -> None:
