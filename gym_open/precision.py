@@ -75,7 +75,8 @@ def settle(setting: PrecisionSetting, device: str, scratch: Path) -> Precision:
         chosen: Precision = "fp32" if began == b"fp32" else "bf16"
         how = "this run began in"
     else:
-        chosen, how = (native, "") if setting == "auto" else (setting, "the configuration asks for")
+        chosen = native if setting == "auto" else setting
+        how = "the configuration asks for" if chosen == "bf16" else ""  # small networks gain nothing from bf16
         scratch.mkdir(parents=True, exist_ok=True)
         write_atomically(mark, chosen.encode())
     if how and chosen != native:
