@@ -26,7 +26,7 @@ class ActorCritic(nn.Module):
         n_actions: width of the policy head.
         generator: source of the heads' weights.
         trunk: widths of hidden layers with tanh between the encoder and the heads; none by default.
-        symmetric: whether trunk and heads have the table's symmetries. The trunk then has two layers or more, each of
+        symmetric: whether trunk and heads have the table's symmetries. The trunk then has one layer or more, each of
             a multiple of 8 units, and the encoder has `turns`.
         frozen: whether the encoder does not learn.
     """
