@@ -6,7 +6,7 @@ A figure follows from its data alone: the user's own matplotlib settings do not 
 import io
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -89,10 +89,10 @@ def draw_png(
         return png(figure)
 
 
-def finish(axes: "Axes", *, fontsize: int = 9, empty: str = "no data", legend: str = "best") -> None:
+def finish(axes: "Axes", *, fontsize: int = 9, empty: str = "no data", legend: Literal["best", "upper left"] = "best") -> None:
     """Add a grid, remove top and right spines, and add a legend; without labels, show the text `empty` instead.
 
-    `legend` is the legend's place, as matplotlib names it.
+    `legend` is the legend's place.
     """
     axes.grid(alpha=0.25, linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)
