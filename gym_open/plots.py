@@ -89,7 +89,9 @@ def draw_png(
         return png(figure)
 
 
-def finish(axes: "Axes", *, fontsize: int = 9, empty: str = "no data", legend: Literal["best", "upper left"] = "best") -> None:
+def finish(
+    axes: "Axes", *, fontsize: int = 9, empty: str = "no data", legend: Literal["best", "upper left"] = "best"
+) -> None:
     """Add a grid, remove top and right spines, and add a legend; without labels, show the text `empty` instead.
 
     `legend` is the legend's place.
