@@ -13,7 +13,7 @@ renamed when it is whole.
 A release may also have a signature.json. It signs the manifest, so the manifest cannot list it.
 """
 
-from gym_open.artefacts.building import RECORDED_PACKAGES, SCRATCH, Outcome, build, is_up_to_date
+from gym_open.artefacts.building import RECORDED_PACKAGES, SCRATCH, Outcome, build, is_up_to_date, remake
 from gym_open.artefacts.checks import MAX_SIGNATURE_BYTES, Problem, problems, verify
 from gym_open.artefacts.code import code_version
 from gym_open.artefacts.records import (
@@ -53,5 +53,6 @@ __all__ = [
     "lineage",
     "manifest",
     "problems",
+    "remake",
     "verify",
 ]

@@ -116,6 +116,41 @@ def build(
     return Outcome(path=out, made=True, earlier=earlier)
 
 
+def remake(
+    out: Path, *, kind: str, parents: Sequence[Path], work: Callable[[Path], tuple[Config, Mapping[str, Any]] | None]
+) -> Path:
+    """Make an artefact at `out`, where nothing is, whose records may already exist elsewhere.
+
+    `work` gets a folder as in `build`. It writes the payload and returns None if it wrote the records too; otherwise it
+    returns configuration and facts, and the artefact gets records of its own.
+
+    Raises:
+        ArtefactError: if a parent is damaged, the records do not fit the payload, or the disk is full.
+        UsageError: if another process is writing `out`, or nothing can be written there.
+    """
+    out = out.absolute()
+    inputs = [Parent(digest=verify(parent), manifest=manifest(parent), lineage=lineage(parent)) for parent in parents]
+    key = hashlib.sha256(canonical_json(["remake", kind, [parent.digest for parent in inputs]])).hexdigest()
+    partial = out.parent / f".{out.name}.partial"
+    with lock(out):
+        if not _claim(partial, key):
+            try:
+                made = work(partial)
+            except OSError as error:
+                if error.errno in FULL:
+                    raise unwritable(Path(error.filename or partial), error) from error
+                raise
+            if made is None:
+                shutil.rmtree(partial / SCRATCH)
+                verify(partial, kind)
+            else:
+                config, facts = made
+                packages, code = _packages(), code_version(kind)
+                _seal(partial, config, Lineage(kind, key, code, packages, dict(facts), inputs))
+        partial.rename(out)
+    return out
+
+
 def _verify_own(out: Path) -> None:
     try:
         verify(out)

@@ -36,6 +36,8 @@ COMMANDS: dict[str, type[Command]] = {
     "dataset list": datasets.DatasetList,
     "dataset merge": datasets.DatasetMerge,
     "dataset filter": datasets.DatasetFilter,
+    "dataset pack": datasets.DatasetPack,
+    "dataset restore": datasets.DatasetRestore,
     "dataset export": datasets.DatasetExport,
     "dataset sign": datasets.DatasetSign,
     "dataset push": datasets.DatasetPush,

@@ -259,6 +259,8 @@ class DatasetFilter(_DerivedReleaseCommand):
     """Only episodes in which the agent visits at least this share of the table's 5 cm cells."""
     split: tuple[Split, ...] = ()
     """Only episodes of these splits."""
+    leave_out: tuple[str, ...] = ()
+    """Features with the explorer's own values to leave out: their names, or `explorer` for all of them."""
 
     about = "make a release from some episodes of another"
 
@@ -269,10 +271,70 @@ class DatasetFilter(_DerivedReleaseCommand):
         config = FilterConfig(
             name=self.name, version=self.version, license=self.license, published=self.published,
             data_file_mb=self.data_file_mb, explorer=self.explorer, world=self.world, split=self.split,
-            min_contact=self.min_contact, min_coverage=self.min_coverage,
+            min_contact=self.min_contact, min_coverage=self.min_coverage, leave_out=self.leave_out,
         )  # fmt: skip
         config = check(config, source="options")
         _made(filter_release(config, self.release, self._place(config), workers=self.workers))
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetPack(ArtefactCommand):
+    """Pack a release as its actions, from which every frame is simulated again: less than a byte per step.
+
+    Example: gym-open dataset pack datasets/open/explore/1.0.0
+    """
+
+    release: Release
+    """Folder of a release."""
+    out: Path | None = None
+    """Folder of the compact release; default the release's folder with -compact added to its name."""
+    workers: int | None = None
+    """Threads that check the frames; default one per core."""
+
+    about = "pack a release as its actions"
+
+    def run(self) -> None:
+        """Pack the release, and simulate it to check every frame."""
+        from gym_open.datasets.compact.overview import compact_table
+        from gym_open.datasets.compact.pack import pack_release
+
+        folder = self.out or self.release.with_name(f"{self.release.name}-compact")
+        made = pack_release(self.release, folder, workers=self.workers)
+        show(compact_table(made.path))
+        path = word(made.path)
+        report(made, f"gym-open dataset restore {path}", f"gym-open train encoder --release {path}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetRestore(Command):
+    """Make a release again from a compact release: the same bytes, on any x86-64 processor.
+
+    Example: gym-open dataset restore datasets/published/open/play/1.0.0
+    """
+
+    compact: Annotated[Path, tyro.conf.Positional]
+    """Folder of a compact release."""
+    out: Path | None = None
+    """Folder of the release; default datasets/NAMESPACE/NAME/VERSION."""
+    workers: int | None = None
+    """Threads that simulate and encode images; default one per core. The result does not depend on it."""
+
+    about = "make a release again from a compact release"
+
+    def run(self) -> None:
+        """Restore the release, and say whether it is the packed one in every byte."""
+        from gym_open.datasets.compact.restore import restore_release
+        from gym_open.formats.compact import open_compact
+
+        info = open_compact(self.compact).info
+        made = restore_release(
+            self.compact, self.out or Path("datasets") / info.name / info.version, workers=self.workers
+        )
+        same = "identical to the packed release in every byte"
+        if made.different:
+            same = f"the same content; {len(made.different)} files have other bytes, since other packages wrote them"
+        say(f"{same} (content digest {info.content[:16]})")
+        say_made(made.path, f"gym-open dataset verify {word(made.path)}")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -67,5 +67,7 @@ class FilterConfig(Header, frozen=True):
     """Smallest share of the table's 5 cm cells that the agent visits in an episode."""
     split: tuple[Split, ...] = ()
     """Splits to select."""
+    leave_out: tuple[str, ...] = ()
+    """Features with the explorer's own values that the result does not have, or `explorer` for all of them."""
     data_file_mb: PositiveInt = 100
     """As in `ReleaseConfig`."""

@@ -4,7 +4,7 @@ PNG files and numbers are copied unchanged. Streams and logs get new numbers, in
 follow the streams that are kept.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -39,6 +39,8 @@ class KeptEpisodes(msgspec.Struct, frozen=True, eq=False):
     """Split of each layout in the new release. Empty if splits go by stream, because those do not change."""
     lacking: Sequence[str]
     """Parts of the reward that only the other releases have."""
+    left_out: Collection[str]
+    """Features that the new release does not have."""
     held: Sequence[str]
     """Digests of the logs of the kept streams."""
 
@@ -61,11 +63,14 @@ class KeptEpisodes(msgspec.Struct, frozen=True, eq=False):
             row["split"] = self.splits.get(row["puzzle"], row["split"])
             nothing = np.full(len(episode.numbers["timestamp"]), np.nan, dtype=np.float32)
             numbers = {**episode.numbers, **dict.fromkeys(self.lacking, nothing)}
-            yield msgspec.structs.replace(episode, row=row, numbers=numbers)
+            kept = {name: values for name, values in numbers.items() if name not in self.left_out}
+            yield msgspec.structs.replace(episode, row=row, numbers=kept)
 
     def table(self, name: Table) -> pa.Table:
         """Rows of `streams`, `worlds` or `switches` for the kept streams."""
         table = self.release.arrow_table(name)
+        if name == "switches" and "world_model.loss" in self.left_out:
+            table = table.drop_columns("world_losses")
         old = table["stream"].to_numpy()
         table = table.filter(pa.array(np.isin(old, list(self.streams))))
         old = table["stream"].to_pylist()
@@ -83,9 +88,11 @@ class KeptEpisodes(msgspec.Struct, frozen=True, eq=False):
 
 def derive(
     config: MergeConfig | FilterConfig, command: Literal["merge", "filter"], out: Path,
-    chosen: Sequence[tuple[Release, np.ndarray]], *, workers: int | None, replace: bool,
+    chosen: Sequence[tuple[Release, np.ndarray]], *, left_out: Collection[str] = (), workers: int | None, replace: bool,
 ) -> artefacts.Outcome:  # fmt: skip
     """Make the release `out` from chosen episodes (numbers, ascending) of releases with the same model and rules.
+
+    It has all features of the releases, except those in `left_out`.
 
     Raises:
         ArtefactError: if a release is damaged, or the version does not follow from what changed since the previous one.
@@ -97,7 +104,7 @@ def derive(
     parents = [*(release.root for release in releases), *([previous] if previous else [])]
 
     def work(folder: Path) -> Mapping[str, Any]:
-        sources = _kept(chosen)
+        sources = _kept(chosen, left_out)
         facts = _write(config, sources, folder, workers)
         complete(folder, config, command, open_release(previous) if previous else None, parents)
         return {**facts, HELD: [digest for source in sources for digest in source.held]}
@@ -105,7 +112,7 @@ def derive(
     return artefacts.build(out, kind="release", config=config, parents=parents, work=work, replace=replace)
 
 
-def _kept(chosen: Sequence[tuple[Release, np.ndarray]]) -> list[KeptEpisodes]:
+def _kept(chosen: Sequence[tuple[Release, np.ndarray]], left_out: Collection[str]) -> list[KeptEpisodes]:
     """Number streams and logs across all releases. A layout that is in val in one release is in val in the result."""
     splits: dict[str, Split] = {}
     if chosen[0][0].info["gym_open"]["split_by"] == "world":
@@ -130,6 +137,7 @@ def _kept(chosen: Sequence[tuple[Release, np.ndarray]]) -> list[KeptEpisodes]:
                 logs={stream: order[place] for stream, place in kept.items()},
                 splits=splits,
                 lacking=sorted(parts - set(release.info["features"])),
+                left_out=left_out,
                 held=_held(release, list(dict.fromkeys(every.values())), set(order)),
             )
         )
@@ -150,7 +158,8 @@ def _write(
 ) -> dict[str, Any]:
     """Write `data` and `meta` and return the facts."""
     info = sources[0].release.info
-    described = {name: feature for source in sources for name, feature in source.release.info["features"].items()}
+    every = {name: feature for source in sources for name, feature in source.release.info["features"].items()}
+    described = {name: feature for name, feature in every.items() if name not in sources[0].left_out}
     split_by = info["gym_open"]["split_by"]
     shares: dict[Split, Share] = {split: Share() for split in SPLITS}
     val: set[str] = set()

@@ -11,6 +11,7 @@ from gym_open.datasets.derived import derive
 from gym_open.datasets.documents.facts import X_EDGES, Y_EDGES
 from gym_open.errors import UsageError
 from gym_open.formats.releases import Release, open_release
+from gym_open.formats.releases.features import learned
 
 
 def filter_release(
@@ -30,10 +31,22 @@ def filter_release(
     Raises:
         ArtefactError: if the release is damaged, or the version does not follow from what changed since the previous
             one.
-        UsageError: if the release has no such explorer, world or split, or no episode meets all conditions.
+        UsageError: if the release has no such explorer, world, split or feature, or no episode meets all conditions.
     """
     opened = open_release(release)
-    return derive(config, "filter", out, [(opened, _chosen(config, opened))], workers=workers, replace=replace)
+    left_out = _left_out(config, opened)
+    chosen = [(opened, _chosen(config, opened))]
+    return derive(config, "filter", out, chosen, left_out=left_out, workers=workers, replace=replace)
+
+
+def _left_out(config: FilterConfig, release: Release) -> tuple[str, ...]:
+    """Names of the features that the result does not have."""
+    there = learned(release.info["features"])
+    for name in config.leave_out:
+        if name not in there and name != "explorer":
+            given = ", ".join(("explorer", *there)) if there else "nothing: it has no explorer's values"
+            raise UsageError(f"{release.root}: leave_out: no explorer's feature {name!r}; give {given}")
+    return tuple(there) if "explorer" in config.leave_out else config.leave_out
 
 
 def _chosen(config: FilterConfig, release: Release) -> np.ndarray:

@@ -14,7 +14,7 @@ from gym_open.formats.releases.layout import IMAGE, PART
 
 _RULES = ("split_by", "max_episode_steps", "pictures")
 """Settings that merged releases must have in common, in addition to their features."""
-_IDENTITY = (IMAGE, "action.index", "reward.intrinsic")
+_IDENTITY = (IMAGE, "action.index")
 """Features by which two episodes are recognised as the same."""
 
 

@@ -26,10 +26,11 @@ from gym_open.formats.checkpoints import (
     without_prefix,
 )
 from gym_open.formats.models import save_encoder
-from gym_open.formats.releases import IMAGE, open_release
+from gym_open.formats.releases import IMAGE
 from gym_open.formats.windows import Batch, Pictures, Windows
 from gym_open.hardware import check_device, hardware
 from gym_open.precision import settle
+from gym_open.replay.compact.release import open_dataset
 from gym_open.train.config import EncoderTrainConfig
 from gym_open.train.curve import Board, Row, clean, save_curve
 
@@ -68,7 +69,7 @@ def train_encoder(
         set_threads(config.threads)
         scratch = partial / artefacts.SCRATCH
         precision = settle(config.precision, config.device, scratch)
-        pictures = Pictures(open_release(release), cache=cache or scratch)  # where a resumed run finds them
+        pictures = Pictures(open_dataset(release), cache=cache or scratch)  # where a resumed run finds them
         trainer = _EncoderTrainer(structs.replace(config, precision=precision), pictures, scratch / "state.safetensors")
         trainer.resume()
         board = Board(tensorboard)

@@ -15,7 +15,7 @@ import numpy as np
 from gym_open.envs.constants import N_ACTIONS, WALL_X, WALL_Y
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases import Release, features, parquet
-from gym_open.formats.releases.layout import DATA_PATHS, PART, SPLITS
+from gym_open.formats.releases.layout import DATA_PATHS, LEARNED, PART, SPLITS
 from gym_open.formats.releases.schemas import table_schema
 
 if TYPE_CHECKING:
@@ -26,8 +26,6 @@ CELL_M = 0.05
 X_EDGES = np.arange(-np.ceil(WALL_X / CELL_M), np.ceil(WALL_X / CELL_M) + 1) * CELL_M
 Y_EDGES = np.arange(-np.ceil(WALL_Y / CELL_M), np.ceil(WALL_Y / CELL_M) + 1) * CELL_M
 """Edges of the squares in metres, from wall to wall."""
-LEARNING = ("reward.intrinsic", "world_model.loss", "policy.entropy", "policy.value")
-"""Features with the explorer's own values; the parts of the reward are added to them."""
 
 
 @dataclass(frozen=True)
@@ -165,9 +163,11 @@ def _split(rows: "pd.DataFrame") -> SplitFacts:
 
 def _read_frames(release: Release, explorers: list[ExplorerFacts], owner: np.ndarray) -> None:
     """Count the frames of each explorer. `owner` holds, for each episode, the number of its explorer in `explorers`."""
-    thought = [*LEARNING, *sorted(name for name in release.info["features"] if name.startswith(PART))]
+    described = release.info["features"]
+    thought = [name for name in LEARNED if name in described]
+    thought += sorted(name for name in described if name.startswith(PART))
     columns = ["episode_index", "action.index", "contact.agent", "transition.valid", "observation.state", *thought]
-    schema = features.schema(release.info["features"])
+    schema = features.schema(described)
     values: list[dict[str, list[np.ndarray]]] = [{name: [] for name in thought} for _ in explorers]
     for path in sorted(release.root.glob(DATA_PATHS)):
         frames = parquet.read(path, schema, columns).combine_chunks()

@@ -10,11 +10,11 @@ import pyarrow as pa
 
 from gym_open import progress
 from gym_open.datasets.verify.report import Findings, rows_of
-from gym_open.datasets.writing.frames import NO_ACTION
 from gym_open.datasets.writing.statistics import STATISTICS, Merger, Stats, feature_stats, image_stats, read_stats
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases import content, parquet
 from gym_open.formats.releases.features import STATE_FIELDS, fps, objects, schema
+from gym_open.formats.releases.frames import NO_ACTION
 from gym_open.formats.releases.info import read_json
 from gym_open.formats.releases.layout import (
     BOOKKEEPING,
@@ -113,11 +113,12 @@ def wrong_in(values: Mapping[str, np.ndarray], row: Mapping[str, Any], described
     for good, what in (*_moves(values, played), *_states(values, described)):
         if not good:
             yield what
-    yield from (f"{name} is not 0 on the last frame" for name in _PADDED if values[name][~played].any())
-    yield from (f"{name} is not finite" for name in _THOUGHT if not np.isfinite(values[name][played]).all())
+    padded, thought = ([name for name in names if name in values] for names in (_PADDED, _THOUGHT))
+    yield from (f"{name} is not 0 on the last frame" for name in padded if values[name][~played].any())
+    yield from (f"{name} is not finite" for name in thought if not np.isfinite(values[name][played]).all())
     parts = (name for name in values if name.startswith(PART))
     yield from (f"{name} is not NaN on the last frame" for name in parts if not np.isnan(values[name][~played]).all())
-    loss = values["world_model.loss"]
+    loss = values.get("world_model.loss", np.zeros(len(played)))
     if not (loss[~played] == 0).all() and not np.isnan(loss).all():
         yield "world_model.loss is not 0 on the last frame"
 

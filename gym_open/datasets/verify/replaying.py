@@ -11,10 +11,10 @@ from rich.table import Table
 from gym_open import progress
 from gym_open.datasets.verify.report import Findings, rows_of
 from gym_open.datasets.verify.tables import puzzles_of
-from gym_open.datasets.writing.frames import LENGTH_CAP
 from gym_open.envs.physics.contacts import Contact
 from gym_open.errors import GymOpenError
 from gym_open.formats.releases.features import STATE_FIELDS
+from gym_open.formats.releases.frames import LENGTH_CAP
 from gym_open.formats.releases.layout import data_path
 from gym_open.formats.releases.reader import Release
 from gym_open.replay.player import Player, RecordedObservation, ReplayWindow

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Any
 
 from gym_open import artefacts
 from gym_open.datasets.verify.report import Findings, rows_of
-from gym_open.datasets.writing.frames import LENGTH_CAP
 from gym_open.datasets.writing.lerobot_files import TASK
 from gym_open.datasets.writing.splits import unit_of
 from gym_open.formats.releases import parquet, videos
+from gym_open.formats.releases.frames import LENGTH_CAP
 from gym_open.formats.releases.info import split_ranges
 from gym_open.formats.releases.layout import (
     DIGESTS_PATH,

@@ -6,10 +6,10 @@ import msgspec
 import numpy as np
 
 from gym_open.datasets.verify.report import Findings, rows_of
-from gym_open.datasets.writing.frames import LENGTH_CAP
 from gym_open.envs.puzzles import Puzzle
 from gym_open.envs.puzzles.sets import reserved_digests
 from gym_open.errors import GymOpenError
+from gym_open.formats.releases.frames import LENGTH_CAP
 from gym_open.formats.releases.layout import BOOKKEEPING
 from gym_open.formats.releases.reader import Release
 

@@ -10,11 +10,11 @@ import numpy as np
 from gym_open import artefacts
 from gym_open.agents.config import ExplorerConfig
 from gym_open.datasets.config import ReleaseConfig
-from gym_open.datasets.writing.frames import LENGTH_CAP, numbers
 from gym_open.datasets.writing.splits import Share, Unit, unit_of
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases import Release, parquet
 from gym_open.formats.releases.features import Features, objects, schema
+from gym_open.formats.releases.frames import LENGTH_CAP, numbers
 from gym_open.formats.releases.layout import IMAGE, PART, SPLITS, Split, data_path
 from gym_open.formats.releases.schemas import EPISODE_ROW, content_features
 

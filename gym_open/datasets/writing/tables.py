@@ -55,15 +55,3 @@ def _world_rows(config: ReleaseConfig, stream: SourceStream, splits: Mapping[Uni
         }
         for world, puzzle in enumerate(stream.log.puzzles)
     ]
-
-
-def segments_of_episodes(episodes: pa.Table) -> pa.Table:
-    """Table with one row per segment, from the rows of `meta/episodes`: the part in the release, and how it ended."""
-    frame = episodes.to_pandas().sort_values(["stream", "segment", "piece"])
-    merged = frame.groupby(["stream", "segment"], as_index=False).agg(
-        world=("world", "first"), puzzle=("puzzle", "first"), first_step=("first_step", "first"),
-        steps=("steps", "sum"), continued=("continued", "first"), ended=("ended", "last"),
-    )  # fmt: skip
-    return pa.Table.from_pandas(
-        merged, schema=table_schema("segments", {}), preserve_index=False
-    ).replace_schema_metadata()

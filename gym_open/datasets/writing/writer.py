@@ -7,7 +7,7 @@ in the same unfinished folder does not write its episodes again.
 
 import shutil
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import chain
 from pathlib import Path
@@ -27,7 +27,6 @@ from gym_open.datasets.writing.parts import join
 from gym_open.datasets.writing.prepare import Prepared, prepare
 from gym_open.datasets.writing.sources import SourceEpisode
 from gym_open.datasets.writing.splits import Share
-from gym_open.datasets.writing.tables import segments_of_episodes
 from gym_open.datasets.writing.tracks import CONTENT, SplitPlace, Track
 from gym_open.errors import ArtefactError, UsageError
 from gym_open.formats.releases import Release
@@ -46,6 +45,7 @@ from gym_open.formats.releases.layout import (
     table_path,
 )
 from gym_open.formats.releases.schemas import EPISODE_ROW, episodes_schema, table_schema
+from gym_open.formats.releases.segments import segments_of_episodes
 from gym_open.hardware import usable_cores
 
 
@@ -61,6 +61,7 @@ class ReleaseWriter:
     def __init__(
         self, folder: Path, header: Header, described: Features, shares: Mapping[Split, Share], *,
         ours: Mapping[str, Any], data_file_mb: int, after: Release | None = None, workers: int | None = None,
+        check: Callable[[Prepared], None] | None = None,
     ) -> None:  # fmt: skip
         """Begin, or continue from an earlier writer like this one. All other files in `folder` are removed.
 
@@ -73,7 +74,9 @@ class ReleaseWriter:
             data_file_mb: size in memory, in MiB, at which a new data file begins.
             after: release with the same features whose files come before this batch, copied byte for byte.
             workers: number of threads; by default one per processor.
+            check: called with every prepared episode, in its thread; what it raises ends the writing.
         """
+        self._check = check
         self._folder, self._header, self._described, self._ours = folder, header, described, ours
         self._mb, self._after = data_file_mb, after
         self._batch = after.info["gym_open"]["batches"] if after else 0
@@ -91,7 +94,7 @@ class ReleaseWriter:
         threads = workers or usable_cores()
         self._pool = ThreadPoolExecutor(threads)
         self._ahead = threads + 1
-        self._waiting: deque[Future[Prepared]] = deque()
+        self._waiting: deque[Future[Prepared | None]] = deque()
 
     def __enter__(self) -> Self:
         return self
@@ -112,13 +115,27 @@ class ReleaseWriter:
 
     def add(self, episode: SourceEpisode) -> None:
         """Add the next episode of its split."""
-        track = self._tracks[episode.row["split"]]
+        self.add_later(episode.row["split"], lambda _: episode)
+
+    def add_later(self, split: Split, make: Callable[[bool], SourceEpisode | None]) -> None:
+        """Add the next episode of a split, which a thread makes: `make(True)`.
+
+        If the episode was written before a kill, the thread calls `make(False)`, and its result is not used.
+        """
+        track = self._tracks[split]
         track.added += 1
-        if track.added <= track.kept:
-            return
-        self._waiting.append(self._pool.submit(prepare, episode, video=self._video))
+        self._waiting.append(self._pool.submit(self._prepared, make, track.added > track.kept))
         while len(self._waiting) > self._ahead:
             self._write_next()
+
+    def _prepared(self, make: Callable[[bool], SourceEpisode | None], wanted: bool) -> Prepared | None:
+        episode = make(wanted)
+        if not wanted or episode is None:
+            return None
+        made = prepare(episode, video=self._video)
+        if self._check:
+            self._check(made)
+        return made
 
     def close(self, tables: Mapping[Table, pa.Table]) -> dict[str, Any]:
         """Finish the data files, then write everything under `meta/`.
@@ -143,12 +160,13 @@ class ReleaseWriter:
         for name, table in tables.items():
             write_table(table, self._folder / table_path(name, self._batch))
         rows = pq.read_table(self._folder / episodes_path(self._batch), columns=[name for name, _ in EPISODE_ROW])
-        write_table(segments_of_episodes(rows), self._folder / table_path("segments", self._batch))
+        write_table(segments_of_episodes(rows.to_pandas()), self._folder / table_path("segments", self._batch))
         return write_meta(self._folder, self._described, self._header, self._ours, self._mb)
 
     def _write_next(self) -> None:
         made = self._waiting.popleft().result()
-        self._tracks[made.episode.row["split"]].write(made)
+        if made is not None:
+            self._tracks[made.episode.row["split"]].write(made)
 
     def _tidy(self) -> None:
         """Remove files of an interrupted writer from which nothing can continue."""

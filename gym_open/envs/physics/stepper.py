@@ -217,6 +217,11 @@ class Stepper:
         """The board (a record). Copy it; do not change it."""
         return self._boards[self._index]
 
+    @property
+    def place(self) -> tuple[np.ndarray, int]:
+        """The boards that hold this world's board, and its index: arguments of `simulate`."""
+        return self._boards, self._index
+
     def move(self, boards: np.ndarray, index: int) -> None:
         """Use another board, which must hold the same values."""
         self._boards, self._index = boards, index

@@ -20,7 +20,7 @@ class EpisodeData:
     actions: np.ndarray
     """(T,) int64."""
     rewards: np.ndarray
-    """Intrinsic rewards, (T,) float32."""
+    """Intrinsic rewards, (T,) float32; NaN if the release leaves them out."""
     frames: dict[str, np.ndarray]
     """Every numeric feature by name, T + 1 rows each; see docs/release-format.md."""
 

@@ -1,13 +1,13 @@
 """Features of a release's frames: LeRobot's description and the Arrow schema."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, Literal
 
 import msgspec
 import pyarrow as pa
 
 from gym_open.envs.constants import CONTROL_DT_S, IMAGE_SIZE, N_ACTIONS
-from gym_open.formats.releases.layout import IMAGE, PART
+from gym_open.formats.releases.layout import IMAGE, LEARNED, PART
 
 STATE_FIELDS = ("x", "y", "z", "qw", "qx", "qy", "qz", "vx", "vy", "vz", "wx", "wy", "wz")
 """Position (m), quaternion, linear velocity (m/s), angular velocity (rad/s) of one object, in the world frame."""
@@ -24,14 +24,16 @@ def fps() -> int | float:
 
 
 def features(
-    object_names: Sequence[str], reward_parts: Sequence[str] = (), pictures: Literal["png", "video"] = "png"
-) -> Features:
+    object_names: Sequence[str], reward_parts: Sequence[str] = (), pictures: Literal["png", "video"] = "png",
+    left_out: Collection[str] = (),
+) -> Features:  # fmt: skip
     """LeRobot's description of every feature.
 
     Args:
         object_names: movable objects of the model.
         reward_parts: names of the parts of intrinsic rewards.
         pictures: whether images are PNG files or video.
+        left_out: those of `LEARNED` that the release does not have.
     """
     scalars = {
         "action.index": "int64",
@@ -59,7 +61,11 @@ def features(
         "observation.state": _vector(STATE_FIELDS),
         "observation.environment_state": _vector(names),
         "action": _vector(ACTION_NAMES),
-        **{name: {"dtype": dtype, "shape": [1], "names": None} for name, dtype in scalars.items()},
+        **{
+            name: {"dtype": dtype, "shape": [1], "names": None}
+            for name, dtype in scalars.items()
+            if name not in left_out
+        },
     }
 
 
@@ -91,6 +97,11 @@ def objects(described: Features) -> list[str]:
     """The object names from which `features` made this description."""
     names = described["observation.environment_state"]["names"]
     return [name.removesuffix(f".{STATE_FIELDS[0]}") for name in names[:: len(STATE_FIELDS)]]
+
+
+def learned(described: Features) -> list[str]:
+    """Names of the features with the explorer's own values: those of `LEARNED`, and parts of the reward."""
+    return [name for name in described if name in LEARNED or name.startswith(PART)]
 
 
 def numeric(described: Features) -> list[str]:

@@ -14,6 +14,7 @@ from gym_open.formats.releases.layout import (
     DATA_TEMPLATE,
     FORMAT,
     INFO_PATH,
+    LEARNED,
     MAX_FILES,
     PART,
     VIDEO_TEMPLATE,
@@ -118,7 +119,8 @@ def _check(path: Path, info: _ReleaseInfo) -> None:
 
     video = info.gym_open.pictures == "video"
     parts = [name.removeprefix(PART) for name in info.features if name.startswith(PART)]
-    described = features(info.gym_open.objects, parts, info.gym_open.pictures)
+    left_out = [name for name in LEARNED if name not in info.features]
+    described = features(info.gym_open.objects, parts, info.gym_open.pictures, left_out)
     expected = {
         "data_path": DATA_TEMPLATE,
         "video_path": VIDEO_TEMPLATE if video else None,

@@ -11,6 +11,8 @@ IMAGE = "observation.image"
 """Feature that holds the image; all other features are numbers."""
 PART = "reward_part."
 """Prefix of the features that hold a part of the intrinsic reward; the part's name follows."""
+LEARNED = ("reward.intrinsic", "world_model.loss", "policy.entropy", "policy.value")
+"""Features with the explorer's own values. A simulation cannot give them back, and a release may leave them out."""
 BOOKKEEPING = ("index", "episode_index", "task_index")
 """Features that only number frames, episodes and tasks; they do not belong to the content."""
 

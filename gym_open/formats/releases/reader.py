@@ -177,7 +177,8 @@ class Release:
             row = self.episodes.iloc[index]
             first, stop = int(row["dataset_from_index"]), int(row["dataset_to_index"])
             frames = self.numbers(first, stop)
-            actions, rewards = frames["action.index"][:-1], frames["reward.intrinsic"][:-1]
+            actions = frames["action.index"][:-1]
+            rewards = frames.get("reward.intrinsic", np.full(stop - first, np.nan, np.float32))[:-1]
             yield EpisodeData(int(index), self.images(range(first, stop)), actions, rewards, frames)
 
     def sample_episodes(
@@ -234,6 +235,26 @@ class Release:
         with ThreadPoolExecutor(usable_cores()) as pool:
             list(pool.map(fill, [range(i, min(i + step, len(files))) for i in range(0, len(files), step)]))
         return out
+
+    def image_pieces(self, count: int) -> Iterator[np.ndarray]:
+        """All images in order, `count` at a time: (count, 84, 84, 3) uint8; the last piece may be shorter.
+
+        Raises:
+            ArtefactError: if a file or an image is damaged.
+        """
+        once = Release(self.root, self.digest, self.info, cached_groups=2)  # each group is read once, in order
+        for start in range(0, len(self), count):
+            yield once.images(np.arange(start, min(start + count, len(self))))
+
+    @property
+    def records(self) -> Path:
+        """Folder with `manifest.json`, `meta/info.json` and the documents."""
+        return self.root
+
+    @staticmethod
+    def opener(root: Path) -> "Release":
+        """Open a release of this kind, for copies in other processes."""
+        return open_release(root)
 
     @property
     def _is_video(self) -> bool:

@@ -62,7 +62,8 @@ def table_schema(name: Table, features: Mapping[str, Any]) -> "pa.Schema":
     """Columns of one of our tables in a release with these features."""
     if name == "content":
         return _schema([("episode_index", _I), *[(item, _S) for item in content_features(features)]])
-    return _schema(_TABLES[name])
+    lost = () if "world_model.loss" in features else ("world_losses",)
+    return _schema([(column, kind) for column, kind in _TABLES[name] if column not in lost])
 
 
 def episodes_schema(features: Mapping[str, Any]) -> "pa.Schema":

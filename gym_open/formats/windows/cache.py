@@ -11,7 +11,7 @@ import mmap
 import os
 import struct
 from array import array
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO, Self
@@ -21,7 +21,7 @@ import zstandard
 
 from gym_open import artefacts, progress
 from gym_open.errors import ArtefactError
-from gym_open.formats.releases import IMAGE, Release, open_release
+from gym_open.formats.releases import IMAGE, Release
 
 LIMIT_BYTES = 2 << 30
 """Default limit of a cache."""
@@ -78,7 +78,7 @@ class Pictures:
         """Let a copy in another process open the release and the cache itself."""
         if self._cache is None:
             raise TypeError("images in memory cannot be sent to another process; give Pictures a cache folder")
-        return _reopen, (self.release.root, self.release.digest, self._cache, self._limit)
+        return _reopen, (self.release.opener, self.release.root, self.release.digest, self._cache, self._limit)
 
     def take(self, frames: np.ndarray) -> np.ndarray:
         """Images of `frames` (integers of any shape): (*frames.shape, 84, 84, 3) uint8 RGB.
@@ -119,8 +119,8 @@ class Pictures:
             out[place] = block[frame % _BLOCK]
 
 
-def _reopen(root: Path, digest: str, cache: Path, limit_bytes: int) -> Pictures:
-    release = open_release(root)
+def _reopen(opener: Callable[[Path], Release], root: Path, digest: str, cache: Path, limit_bytes: int) -> Pictures:
+    release = opener(root)
     if release.digest != digest:
         raise _changed(root)
     return Pictures(release, cache=cache, limit_bytes=limit_bytes)
@@ -214,14 +214,12 @@ def _alone(lock: Path) -> Iterator[None]:
 
 def _write(release: Release, sink: BinaryIO, limit_bytes: int) -> None:
     """Write a cache of the frames that fit into `limit_bytes`. Decoding uses all cores."""
-    if artefacts.verify(release.root, "release") != release.digest:
+    if artefacts.verify(release.root) != release.digest:
         raise _changed(release.root)
-    once = Release(release.root, release.digest, release.info, cached_groups=2)  # each group is read once, in order
     offsets, frames = array("q", [0]), 0
     compressor = zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True)
     with progress.bar("decode images", len(release)) as bar:
-        for start in range(0, len(release), _PIECE):
-            images = once.images(np.arange(start, min(start + _PIECE, len(release))))
+        for images in release.image_pieces(_PIECE):
             blocks = [compressor.compress(images[i : i + _BLOCK].data) for i in range(0, len(images), _BLOCK)]
             ends = np.cumsum([len(block) for block in blocks]) + offsets[-1]
             sizes = ends + 8 * (len(offsets) + 1 + np.arange(len(blocks))) + _TAIL.size

@@ -83,7 +83,8 @@ def _streams(release: Release) -> list[ShownStream]:
     for row in rows:
         number = row["stream"]
         own = [_switch(item) for item in switches if item["stream"] == number]
-        if {len(item.world_losses) for item in own} - {sum(world["stream"] == number for world in worlds)}:
+        pool = sum(world["stream"] == number for world in worlds)
+        if "world_model.loss" in release.info["features"] and {len(item.world_losses) for item in own} - {pool}:
             raise ValueError(f"stream {number}: a switch does not have a loss for each world of the pool")
         shown = _segments([item for item in segments if item["stream"] == number], own)
         episodes = _episodes(release, number)
@@ -116,7 +117,7 @@ def narrowed(release: Release, choice: Choice) -> Choice:
 
 
 def _switch(row: Mapping[str, Any]) -> Switch:
-    losses = [float(loss) for loss in row["world_losses"]]
+    losses = [float(loss) for loss in row.get("world_losses", ())]
     names = ("step", "from_world", "to_world", "reason")
     return msgspec.convert({**{name: row[name] for name in names}, "world_losses": losses}, Switch)
 
@@ -242,7 +243,8 @@ def _watched(watch: Watch, states: np.ndarray, actions: np.ndarray, steps: range
 
 def _series(values: Mapping[str, np.ndarray], parts: tuple[str, ...]) -> dict[str, np.ndarray]:
     columns = {**_COLUMNS, **{PART + name: PART_COLUMN + name for name in parts}}
-    return {name: values[column].astype(np.float64) for name, column in columns.items()}
+    left_out = np.full(len(values["action.index"]), np.nan)
+    return {name: values.get(column, left_out).astype(np.float64) for name, column in columns.items()}
 
 
 def _png_reader(release: Release, first: int) -> Callable[[np.ndarray], list[bytes]]:

@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gym_open.datasets.writing.frames import numbers
 from gym_open.datasets.writing.statistics import Merger, Stats, feature_stats, image_stats
 from gym_open.envs.puzzles.generators import sample_puzzle
 from gym_open.formats.logs.schemas import Segment
 from gym_open.formats.pngs import decode_png, encode_pngs
 from gym_open.formats.releases.features import features
+from gym_open.formats.releases.frames import numbers
 
 NAMES = ("agent", "yellow_0")
 PUZZLE = sample_puzzle("sandbox", np.random.default_rng(0))

@@ -1,0 +1,162 @@
+"""Simulate the episodes of a compact release again, in threads.
+
+An episode begins with the layout of its world, or where an earlier episode ended. Threads play episodes at the same
+time; one that continues another waits until that one has been simulated.
+"""
+
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
+from typing import NamedTuple, TypeVar
+
+import msgspec
+import numpy as np
+
+from gym_open.envs.recorder import record
+from gym_open.envs.world import World
+from gym_open.errors import ArtefactError, GymOpenError
+from gym_open.formats.compact import Compact
+from gym_open.formats.compact.layout import EPISODES, EpisodeRow
+from gym_open.formats.compact.reader import predecessors
+from gym_open.formats.releases.frames import frame_numbers
+from gym_open.hardware import usable_cores
+
+T = TypeVar("T")
+
+
+class Stored(NamedTuple):
+    """What a compact release stores of an episode of T steps."""
+
+    number: int
+    """In the order in which episodes were played."""
+    row: EpisodeRow
+    actions: np.ndarray
+    """(T,) uint8."""
+    learned: dict[str, np.ndarray]
+    """(T,) float32: the explorer's own values, by feature."""
+
+
+class PlayedEpisode(msgspec.Struct, frozen=True, eq=False):
+    """A simulated episode of T steps."""
+
+    stored: Stored
+    numbers: dict[str, np.ndarray]
+    """All features except image and bookkeeping, with T + 1 rows each."""
+    images: np.ndarray
+    """(T + 1, 84, 84, 3) uint8; (0, …) if they were not drawn."""
+    states: list[np.ndarray]
+    """Integration state at each of the row's keyframes."""
+
+
+def stored_episodes(compact: Compact, *, columns: bool = True) -> Iterator[Stored]:
+    """Read what is stored of every episode, in the order in which they were played.
+
+    Raises:
+        ArtefactError: if a file is damaged.
+    """
+    with ExitStack() as files:
+        actions = files.enter_context(compact.actions())
+        names = compact.columns if columns else []
+        learned = {name: files.enter_context(compact.column(name)) for name in names}
+        for number, row in enumerate(compact.episodes):
+            values = {name: file.take(row.steps) for name, file in learned.items()}
+            yield Stored(number, row, actions.take(row.steps), values)
+
+
+class CompactPlayer:
+    """Plays episodes of one compact release. Its methods may be called by several threads.
+
+    Raises:
+        ArtefactError: if its objects are not those of this version's world.
+    """
+
+    def __init__(self, compact: Compact) -> None:
+        self._compact = compact
+        rows = compact.episodes
+        self._before = predecessors(rows)
+        self._left: dict[int, Future[np.ndarray]] = {before: Future() for before in self._before if before is not None}
+        """Last state of each episode that another one continues."""
+        given = iter(compact.states)
+        self._given = {i: next(given) for i, row in enumerate(rows) if row.start == "state"}
+        self._own = threading.local()
+        there, expected = tuple(compact.release_info["gym_open"]["objects"]), World().inventory
+        if there != expected:
+            raise ArtefactError(
+                f"{compact.root}: its {len(there)} objects are not the {len(expected)} of this version's world; use "
+                "the version in its provenance"
+            )
+
+    def play(self, stored: Stored, *, images: bool = True) -> PlayedEpisode:
+        """Simulate an episode. It waits for the episode that it continues, which must be played, too.
+
+        Raises:
+            ArtefactError: if the actions or a stored state cannot be simulated.
+        """
+        left = self._left.get(stored.number)
+        try:
+            return self._play(stored, images, left)
+        except BaseException as error:
+            if left is not None and not left.done():
+                left.set_exception(error)
+            raise
+
+    def _play(self, stored: Stored, images: bool, left: "Future[np.ndarray] | None") -> PlayedEpisode:
+        row, world = stored.row, self._world()
+        try:
+            self._begin(world, stored)
+            states, frames = [world.object_state()[None]], [world.observe()[None]] if images else []
+            contacts, impulses, kept = [np.empty((0, 2), np.int64)], [np.empty(0)], []
+            at = 0
+            for stop in [*row.keyframes, row.steps]:
+                made = record(world, stored.actions[at:stop], images=images)
+                states.append(made.states)
+                contacts.append(made.contacts)
+                impulses.append(made.impulses)
+                frames += [made.images] if images else []
+                kept.append(world.save_state())
+                at = stop
+        except GymOpenError as error:
+            raise ArtefactError(
+                f"{self._compact.root / EPISODES}: episode {stored.number} cannot be simulated: {error}"
+            ) from error
+        if left is not None:
+            left.set_result(kept[-1])
+        numbers = frame_numbers(
+            stored.actions.astype(np.int64), np.concatenate(states), world.inventory.index("agent"),
+            np.concatenate(contacts), np.concatenate(impulses), stored.learned,
+        )  # fmt: skip
+        drawn = np.concatenate(frames) if images else np.empty((0, *world.observe().shape), np.uint8)
+        return PlayedEpisode(stored, numbers, drawn, kept[:-1])
+
+    def _begin(self, world: World, stored: Stored) -> None:
+        row = stored.row
+        world.load(self._compact.puzzles[row.stream, row.world])
+        before = self._before[stored.number]
+        if before is not None:
+            world.restore_state(self._left.pop(before).result())
+        elif stored.number in self._given:
+            world.restore_state(self._given[stored.number])
+
+    def _world(self) -> World:
+        """A world for this thread alone."""
+        if not hasattr(self._own, "world"):
+            self._own.world = World()
+        return self._own.world
+
+
+def in_order(items: Iterable[Stored], task: Callable[[Stored], T], workers: int | None = None) -> Iterator[T]:
+    """Do a task for every episode in threads, and return the results in order; few episodes are in memory."""
+    threads = workers or usable_cores()
+    waiting: deque[Future[T]] = deque()
+    pool = ThreadPoolExecutor(threads)
+    try:
+        for item in items:
+            waiting.append(pool.submit(task, item))
+            if len(waiting) > threads + 1:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+    finally:
+        pool.shutdown(cancel_futures=True)
