@@ -66,7 +66,7 @@ def problems(path: Path, *, hashed: Callable[[str], bool] = lambda _: True) -> I
     present, folders, strange = walk(path)
     yield from (Problem(name, STRANGE) for name in strange)
     with suppress(ArtefactError):  # an unreadable lineage belongs to no release
-        if SIGNATURE not in listed and lineage(path).kind == "release":
+        if SIGNATURE not in listed and lineage(path).kind in {"release", "compact"}:
             size = present.pop(SIGNATURE, 0)
             if size > MAX_SIGNATURE_BYTES:
                 yield Problem(SIGNATURE, f"{size:,} bytes, at most {MAX_SIGNATURE_BYTES:,} are read; remove it")

@@ -107,9 +107,9 @@ class DatasetDiff(Command):
         """Compare the releases, and print tables."""
         from gym_open.datasets.compare.diff import diff_releases, diff_tables
         from gym_open.datasets.compare.versions import implied
-        from gym_open.formats.releases import open_release
+        from gym_open.replay.compact.release import open_dataset
 
-        one, other = open_release(self.one), open_release(self.other)
+        one, other = open_dataset(self.one), open_dataset(self.other)
         found = diff_releases(one, other)
         show(*diff_tables(found))
         if found.bump == "none":
@@ -180,12 +180,12 @@ class DatasetExport(Command):
     def run(self) -> None:
         """Export the split."""
         from gym_open.datasets.export import export_minari, export_npz
-        from gym_open.formats.releases import open_release
+        from gym_open.replay.compact.release import open_dataset
 
         if self.form == "npz":
             path = export_npz(self.release, self.split, self.out)
         else:
-            about = open_release(self.release)
+            about = open_dataset(self.release)
             named = f"{about.name}-{self.split}-v{about.version.split('.')[0]}"
             path = export_minari(self.release, self.split, self.out, self.dataset_id or named)
         say_made(path)

@@ -13,9 +13,10 @@ from numpy.lib import format as npy
 from gym_open import extras, progress
 from gym_open.errors import UsageError
 from gym_open.files import unwritable
-from gym_open.formats.releases import IMAGE, Release, open_release
+from gym_open.formats.releases import IMAGE, Release
 from gym_open.formats.releases.features import numeric
 from gym_open.formats.releases.layout import PART
+from gym_open.replay.compact.release import open_dataset
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -135,7 +136,7 @@ def export_minari(root: Path, split: str, out: Path, dataset_id: str) -> Path:
 
 def _opened(root: Path, split: str) -> "tuple[Release, pd.DataFrame]":
     """Open a release, check every byte of it, and return it with the rows of `meta/episodes` of a split."""
-    release = open_release(root, check="bytes")
+    release = open_dataset(root, check="bytes")
     rows = release.episodes[release.episodes["split"] == split]
     if not len(rows):
         there = ", ".join(sorted(release.info["splits"]))

@@ -11,11 +11,14 @@ from gym_open import artefacts
 from gym_open.datasets.compare import payload
 from gym_open.datasets.compare.versions import parse
 from gym_open.errors import ArtefactError
+from gym_open.formats.compact import open_compact
+from gym_open.formats.compact.reader import is_compact
 from gym_open.formats.releases import Release
 from gym_open.formats.releases.content import payload_digest
 from gym_open.formats.releases.features import fps
 from gym_open.formats.releases.info import read_info
 from gym_open.formats.releases.layout import INFO_PATH, SPLITS
+from gym_open.replay.compact.release import CompactRelease
 from gym_open.terminal import markup, titled_table
 
 
@@ -57,6 +60,8 @@ def list_table(folder: Path) -> Table:
 
 
 def _look(root: Path) -> Release:
+    if is_compact(root):
+        return CompactRelease(open_compact(root))
     found = artefacts.digest(root)
     if (kind := artefacts.lineage(root).kind) != "release":
         raise ArtefactError(f"{root}: expected an artefact of kind 'release', got {kind!r}")
@@ -77,12 +82,13 @@ def _facts(release: Release) -> Table:
         ("worlds", f"{episodes['puzzle'].nunique():,} distinct layouts"),
         ("images", ours["pictures"]),
         ("size", f"{payload.total_bytes(entries) / 1e6:,.1f} MB in {len(entries):,} files"),
+        ("form", "compact: its frames are simulated" if isinstance(release, CompactRelease) else "with frames"),
         ("batches", f"{ours['batches']}: one build" + f" and {ours['batches'] - 1} appended" * (ours["batches"] > 1)),
         ("licence", ours["license"]),
         ("published", ours["published"] or "no date"),
         ("digest", release.digest),
         ("payload digest", payload_digest(entries)),
-        ("content digest", payload.digests(release.root).release),
+        ("content digest", payload.digests(release.records).release),
         ("made from", "\n".join(f"{parent.lineage.kind} {parent.digest[:16]}" for parent in parents)),
         ("code", artefacts.lineage(release.root).code),
     ):
@@ -126,7 +132,7 @@ def _roots(folder: Path) -> Iterator[Path]:
     for item in sorted(folder.iterdir()):
         if not item.is_dir() or item.is_symlink() or item.name.startswith("."):
             continue
-        if (item / INFO_PATH).exists() or _kind(item) == "release":
+        if (item / INFO_PATH).exists() or _kind(item) in {"release", "compact"}:
             yield item
         elif _kind(item) is None:
             yield from _roots(item)

@@ -20,14 +20,17 @@ from gym_open.envs.puzzles.sets import reserved_digests
 from gym_open.formats.scores import Proof
 from gym_open.results.runs import PolicyFacts
 
-_BELOW = {"policy": ("encoder", "log"), "encoder": ("release",), "release": ("log", "release"), "log": ()}
+_BELOW = {
+    "policy": ("encoder", "log"), "encoder": ("release", "compact"), "compact": ("release",),
+    "release": ("log", "release", "compact"), "log": (),
+}  # fmt: skip
 """Kinds of parents that each kind of link may have."""
 _WEIGHTS = "model.safetensors"
 _OWN = f"encoder/{_WEIGHTS}"
 """File in a log: the explorer's encoder at the end."""
 _PAYLOAD = {
     "policy": (_WEIGHTS, "model.json"), "encoder": (_WEIGHTS, "model.json"),
-    "release": ("meta/info.json",), "log": ("summary.json",),
+    "release": ("meta/info.json",), "compact": ("compact.json",), "log": ("summary.json",),
 }  # fmt: skip
 """Files that every artefact of a kind has."""
 _LEARNED_FROM = {"none": [], "offline": ["encoder"], "online": ["log"]}
@@ -141,6 +144,11 @@ def _faults_of_release(link: Parent) -> Iterator[str]:
         yield f"made of {len(unnamed)} log(s) that it does not name, the first {unnamed[0][:12]}"
 
 
+def _faults_of_compact(link: Parent) -> Iterator[str]:
+    if len(link.lineage.parents) != 1:
+        yield "the release that was packed is not recorded"
+
+
 def _logs(link: Parent) -> Iterator[str]:
     if link.lineage.kind == "log":
         yield link.digest
@@ -169,5 +177,6 @@ def _words(value: Any) -> set[str]:
 
 
 _FAULTS = {
-    "policy": _faults_of_policy, "encoder": _faults_of_encoder, "release": _faults_of_release, "log": _faults_of_log,
+    "policy": _faults_of_policy, "encoder": _faults_of_encoder, "release": _faults_of_release,
+    "compact": _faults_of_compact, "log": _faults_of_log,
 }  # fmt: skip

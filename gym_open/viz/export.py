@@ -63,7 +63,7 @@ def _page(config: VizConfig, sources: Sequence[Path], choice: Choice) -> PageDra
 
         choice.refuse_others("scores", {"puzzle"})
         return PageDrawing(*overview(read_tables(sources)))
-    if len(sources) == 1 and kinds <= {LOG, "release"}:
+    if len(sources) == 1 and kinds <= {LOG, "release", "compact"}:
         from gym_open.viz.streams.still import play_page
 
         title, streams = open_streams(sources[0], choice)
@@ -96,7 +96,7 @@ def write_video(config: VizConfig, sources: Sequence[Path], choice: Choice, out:
         choice.refuse_others("a puzzle", {"puzzle"})
         return write_film(out, *film_of_puzzle(play_all(choice.puzzle, sources), look))
     kinds = {kind_of(source) for source in sources}
-    if len(sources) != 1 or not kinds <= {LOG, "release"}:
+    if len(sources) != 1 or not kinds <= {LOG, "release", "compact"}:
         raise UsageError(
             f"--video: cannot film {', '.join(sorted(kinds))}; give one log or release, or scores and policies with "
             "--puzzle TASK/NUMBER"

@@ -10,7 +10,7 @@ from gym_open.viz.config import Choice, VizConfig
 from gym_open.viz.view import View
 
 LOG, BENCHMARK = "log", "benchmark"
-_EXPLORED = frozenset({LOG, "release"})
+_EXPLORED = frozenset({LOG, "release", "compact"})
 _EVALUATED = frozenset({"scores", "policy"})
 _LEARNED = frozenset({"encoder", "policy", "probe", "report", BENCHMARK})
 _SOURCES = "a log (a folder or one .mcap), release, encoder, policy, probe, scores, report, or a benchmark's folder"

@@ -59,7 +59,7 @@ def diff_releases(a: Release, b: Release) -> Diff:
     files = list(_file_changes(a, b))
     common = sorted(name for name, form in _forms(a).items() if _forms(b).get(name) == form)
     data = [*_feature_meanings(a, b), *episode_meanings(a, b, common), *_table_meanings(a, b)]
-    if not data and payload.digests(a.root).release != payload.digests(b.root).release:
+    if not data and payload.digests(a.records).release != payload.digests(b.records).release:
         data = [Meaning("major", "the content digest changed, but no feature, episode or table did")]
     rest = [*_setting_meanings(a, b, files), *_file_meanings(a, b, files, alone=not data)]
     meanings = sorted([*data, *rest], key=lambda item: -RANK[item.bump])
@@ -99,8 +99,8 @@ def check_version(previous: Release, new: Release) -> Diff:
 
 
 def _file_changes(a: Release, b: Release) -> Iterator[FileChange]:
-    old, new = payload.entries(a.root), payload.entries(b.root)
-    old_content, new_content = payload.digests(a.root).files, payload.digests(b.root).files
+    old, new = payload.entries(a.records), payload.entries(b.records)
+    old_content, new_content = payload.digests(a.records).files, payload.digests(b.records).files
     for path in sorted(old.keys() | new.keys()):
         if path not in old:
             yield FileChange(path, "added")
@@ -146,7 +146,7 @@ def _table_meanings(a: Release, b: Release) -> Iterator[Meaning]:
 
 
 def _table_digests(release: Release, name: str) -> list[str]:
-    found = payload.digests(release.root).files
+    found = payload.digests(release.records).files
     return [found[path] for path in sorted(found) if path.startswith(f"meta/{name}/")]
 
 
@@ -179,7 +179,7 @@ def _file_meanings(a: Release, b: Release, files: list[FileChange], *, alone: bo
         yield Meaning(
             "patch", f"serialisation only: the same episodes are cut into files otherwise ({len(cut):,} files)"
         )
-    unsealed = not (b.root / artefacts.MANIFEST).exists()
+    unsealed = not (b.records / artefacts.MANIFEST).exists()
     changed = any(item.path.endswith((".parquet", ".mp4")) for item in files)
     documents = [
         item.path

@@ -32,7 +32,7 @@ def same_but_for_version(a: Release, b: Release, path: str, *, data_changed: boo
     Raises:
         ArtefactError: if the file is not readable.
     """
-    if max((one.root / path).stat().st_size for one in (a, b)) > _LARGEST:
+    if max((one.records / path).stat().st_size for one in (a, b)) > _LARGEST:
         return False
     said = {str(text) for one in (a, b) for text in (one.version, one.info["gym_open"].get("published")) if text}
     old, new = (_text(one, path) for one in (a, b))
@@ -48,9 +48,9 @@ def same_but_for_version(a: Release, b: Release, path: str, *, data_changed: boo
 
 def _text(release: Release, path: str) -> str:
     try:
-        return (release.root / path).read_bytes().decode("utf-8", "surrogateescape")  # figures are documents too
+        return (release.records / path).read_bytes().decode("utf-8", "surrogateescape")  # figures are documents too
     except OSError as error:
-        raise ArtefactError(f"{release.root / path}: not readable: {error}; build the release again") from None
+        raise ArtefactError(f"{release.records / path}: not readable: {error}; build the release again") from None
 
 
 def _blank(text: str, said: set[str]) -> str:

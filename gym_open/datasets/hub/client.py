@@ -10,6 +10,7 @@ import msgspec
 
 from gym_open.datasets.compare.versions import parse
 from gym_open.errors import ArtefactError, GymOpenError, UsageError
+from gym_open.formats.compact import layout as compact
 from gym_open.formats.releases.layout import INFO_PATH
 
 if TYPE_CHECKING:
@@ -110,17 +111,24 @@ def verified(root: Path) -> tuple[str, str]:
     report = verify_release(root, replay=False)
     for problem in report.problems:
         raise ArtefactError(f"{root / problem.file}: {problem.what} (list all problems with gym-open dataset verify)")
-    return identity(root / INFO_PATH)
+    return identity(root)
 
 
-def identity(info: Path) -> tuple[str, str]:
-    """Read name and version of a release from its `meta/info.json`.
+def info_path(root: Path) -> str:
+    """Name of the file with the name and version of the release at `root`, compact or not."""
+    return compact.INFO if (root / compact.INFO).is_file() else INFO_PATH
+
+
+def identity(root: Path) -> tuple[str, str]:
+    """Read name and version of a release from its `meta/info.json`, or from the `compact.json` of a compact one.
 
     Raises:
         ArtefactError: if it holds none.
     """
+    info = root / info_path(root)
     try:
-        ours = msgspec.json.decode(info.read_bytes(), type=dict[str, Any])["gym_open"]
+        said = msgspec.json.decode(info.read_bytes(), type=dict[str, Any])
+        ours = said if info.name == compact.INFO else said["gym_open"]
         name, version = ours["name"], ours["version"]
     except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError, KeyError, TypeError) as error:
         raise ArtefactError(f"{info}: not from a release of gym-open: {error}") from None

@@ -15,6 +15,7 @@ from gym_open.datasets.compare.versions import parse
 from gym_open.datasets.hub.client import check_repo, identity, tags, talking, tree, verified, versions
 from gym_open.errors import ArtefactError, GymOpenError, UsageError
 from gym_open.files import lock, sha256_file
+from gym_open.formats.compact import layout as compact
 from gym_open.formats.releases.layout import INFO_PATH, belongs
 
 if TYPE_CHECKING:
@@ -105,7 +106,8 @@ class _Pull:
         if needed > free:
             raise GymOpenError(f"{out}: {needed:,} bytes are needed there, {free:,} are free; make room, or give --out")
         with _without_bars(), progress.bar("dataset pull", needed) as bar:
-            self._listed_file(INFO_PATH, entries[INFO_PATH])
+            info = compact.INFO if compact.INFO in entries else INFO_PATH
+            self._listed_file(info, entries[info])
             self._check_identity(version)  # before the other files are fetched
             for name in sorted(entries):
                 self._listed_file(name, entries[name])
@@ -148,19 +150,20 @@ class _Pull:
             entries = msgspec.json.decode((self.folder / MANIFEST).read_bytes(), type=dict[str, Entry])
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             raise ArtefactError(f"{self.repo}: {MANIFEST} is not that of a release: {error}") from None
+        allowed = compact.belongs if compact.INFO in entries else belongs
         for name, entry in entries.items():
-            if not belongs(name) or name in {MANIFEST, SIGNATURE}:
+            if not allowed(name) or name in {MANIFEST, SIGNATURE}:
                 raise ArtefactError(f"{self.repo}: {MANIFEST} lists {name!r}, which no release holds; do not trust it")
             found = self.there[name].size if name in self.there else "none"
             if found != entry.bytes:
                 raise ArtefactError(f"{self.repo}: {name}: {MANIFEST} says {entry.bytes} bytes, the hub has {found}")
-        if INFO_PATH not in entries:
+        if not {INFO_PATH, compact.INFO} & entries.keys():
             raise ArtefactError(f"{self.repo}: {MANIFEST} does not list {INFO_PATH}: not a release of gym-open")
         return entries
 
     def _check_identity(self, version: str) -> None:
         """Check by `info.json` that this is the requested release."""
-        name, found = identity(self.folder / INFO_PATH)
+        name, found = identity(self.folder)
         if name.partition("/")[2] != self.repo.partition("/")[2] or found != version:
             raise ArtefactError(f"{self.repo}: its tag v{version} holds {name} {found}; do not trust this source")
 
@@ -170,4 +173,4 @@ class _Pull:
         shutil.rmtree(self.folder)
         if not (out / MANIFEST).is_file() or artefacts.digest(out) != same:
             raise UsageError(f"{out}: exists and is not what the hub has; give another --out or remove it")
-        artefacts.verify(out, "release")
+        artefacts.verify(out)

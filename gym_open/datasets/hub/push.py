@@ -10,10 +10,10 @@ import msgspec
 
 from gym_open.artefacts import MANIFEST, SIGNATURE, Entry
 from gym_open.datasets.compare.versions import parse
-from gym_open.datasets.hub.client import check_repo, tags, talking, tree, verified, versions
+from gym_open.datasets.hub.client import check_repo, info_path, tags, talking, tree, verified, versions
 from gym_open.errors import ArtefactError, GymOpenError, UsageError
 from gym_open.files import sha256_file
-from gym_open.formats.releases.layout import CODEBASE_VERSION
+from gym_open.formats.releases.layout import CODEBASE_VERSION, INFO_PATH
 
 if TYPE_CHECKING:
     from huggingface_hub import HfApi
@@ -48,7 +48,8 @@ def push_release(root: Path, repo: str, *, send: bool, endpoint: str | None = No
     check_repo(repo, name)
     entries = _entries(root)
     plan = [f"{entry.bytes:>13,}  {file}" for file, entry in sorted(entries.items())]
-    plan.append(f"{name} {version} to {repo}, tags v{version} and {CODEBASE_VERSION}")
+    marks = f"tags v{version} and {CODEBASE_VERSION}" if info_path(root) == INFO_PATH else f"compact, tag v{version}"
+    plan.append(f"{name} {version} to {repo}, {marks}")
     if not send:
         return plan
     with talking(repo, endpoint) as api:
@@ -69,7 +70,8 @@ def push_release(root: Path, repo: str, *, send: bool, endpoint: str | None = No
                 )
             commit = _upload(api, repo, root, entries, f"{name} {version}")
             api.create_tag(repo, tag=f"v{version}", revision=commit, repo_type="dataset")
-        _point_lerobot(api, repo, {**known, f"v{version}": commit})
+        if info_path(root) == INFO_PATH:  # LeRobot cannot load a compact release
+            _point_lerobot(api, repo, {**known, f"v{version}": commit})
     return plan
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from gym_open import artefacts, extras
 from gym_open.datasets.verify.apart import replay_apart
+from gym_open.datasets.verify.compact import verify_compact
 from gym_open.datasets.verify.contents import check_contents
 from gym_open.datasets.verify.documents import check_documents, check_texts
 from gym_open.datasets.verify.readers import check_lerobot, check_pandas
@@ -13,6 +14,7 @@ from gym_open.datasets.verify.report import NOT_CHECKED, Check, Findings, Verifi
 from gym_open.datasets.verify.structure import check_episodes, check_files, check_info
 from gym_open.datasets.verify.tables import check_tables
 from gym_open.errors import GymOpenError, UsageError
+from gym_open.formats.compact.reader import is_compact
 from gym_open.formats.releases.info import read_info
 from gym_open.formats.releases.layout import SIGNATURE, belongs
 from gym_open.formats.releases.reader import Release
@@ -39,6 +41,8 @@ def verify_release(
         raise UsageError(f"--tolerance: expected 0 or more, got {tolerance}")
     if not root.is_dir():
         raise UsageError(f"{root}: no such folder; give the folder of a release")
+    if is_compact(root):
+        return verify_compact(root, replay=replay, key=key)
     return _Verification(root, key).run(replay, tolerance)
 
 

@@ -233,6 +233,8 @@ def _command(link: _ChainLink, file: str, names: Mapping[str, str], *, follows: 
             words = f"dataset build --logs {every}"
         case "release":
             return f"# {names[link.place]}: merged, filtered or appended from {every}; see its rebuild/ folder"
+        case "compact":
+            return f"gym-open dataset pack {every} --out {names[link.place]}"
         case "encoder":
             words = f"train encoder --release {every}"
         case "policy":

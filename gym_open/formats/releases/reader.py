@@ -371,6 +371,8 @@ def open_release(root: Path, *, check: Literal["records", "bytes"] = "records") 
         MissingExtraError: if the packages that read releases are not installed.
     """
     extras.check("releases")
+    if (root / artefacts.LINEAGE).is_file() and artefacts.lineage(root).kind == "compact":
+        raise ArtefactError(f"{root}: a compact release; make a release of it first with `gym-open dataset restore`")
     digest = artefacts.verify(root, "release", hashed=lambda name: check == "bytes" or not name.startswith(_BULK))
     for name in artefacts.manifest(root):
         if not belongs(name):

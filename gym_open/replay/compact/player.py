@@ -75,8 +75,9 @@ class CompactPlayer:
     def __init__(self, compact: Compact) -> None:
         self._compact = compact
         rows = compact.episodes
-        self._before = predecessors(rows)
-        self._left: dict[int, Future[np.ndarray]] = {before: Future() for before in self._before if before is not None}
+        self.before = predecessors(rows)
+        """For each episode, the number of the one that it continues."""
+        self._left: dict[int, Future[np.ndarray]] = {before: Future() for before in self.before if before is not None}
         """Last state of each episode that another one continues."""
         given = iter(compact.states)
         self._given = {i: next(given) for i, row in enumerate(rows) if row.start == "state"}
@@ -89,61 +90,75 @@ class CompactPlayer:
             )
 
     def play(self, stored: Stored, *, images: bool = True) -> PlayedEpisode:
-        """Simulate an episode. It waits for the episode that it continues, which must be played, too.
+        """Simulate an episode, once. It waits for the episode that it continues, which must be played, too.
 
         Raises:
             ArtefactError: if the actions or a stored state cannot be simulated.
         """
         left = self._left.get(stored.number)
+        before = self.before[stored.number]
         try:
-            return self._play(stored, images, left)
+            start = None if before is None else self._left.pop(before).result()
+            played, end = self.play_from(stored, start, images=images)
         except BaseException as error:
-            if left is not None and not left.done():
+            if left is not None:
                 left.set_exception(error)
             raise
+        if left is not None:
+            left.set_result(end)
+        return played
 
-    def _play(self, stored: Stored, images: bool, left: "Future[np.ndarray] | None") -> PlayedEpisode:
+    def play_from(
+        self, stored: Stored, start: np.ndarray | None, *, images: bool = True
+    ) -> tuple[PlayedEpisode, np.ndarray]:
+        """Simulate an episode and return it and its last state.
+
+        Args:
+            stored: what is stored of it.
+            start: last state of the episode that it continues; None if it continues none.
+            images: whether to draw the images.
+
+        Raises:
+            ArtefactError: if the actions or a stored state cannot be simulated.
+        """
         row, world = stored.row, self._world()
         try:
-            self._begin(world, stored)
-            states, frames = [world.object_state()[None]], [world.observe()[None]] if images else []
-            contacts, impulses, kept = [np.empty((0, 2), np.int64)], [np.empty(0)], []
-            at = 0
-            for stop in [*row.keyframes, row.steps]:
-                made = record(world, stored.actions[at:stop], images=images)
-                states.append(made.states)
-                contacts.append(made.contacts)
-                impulses.append(made.impulses)
-                frames += [made.images] if images else []
-                kept.append(world.save_state())
-                at = stop
+            world.load(self._compact.puzzles[row.stream, row.world])
+            state = self._given.get(stored.number) if start is None else start
+            if state is not None:
+                world.restore_state(state)
+            made = _record(world, stored, images=images)
         except GymOpenError as error:
             raise ArtefactError(
                 f"{self._compact.root / EPISODES}: episode {stored.number} cannot be simulated: {error}"
             ) from error
-        if left is not None:
-            left.set_result(kept[-1])
-        numbers = frame_numbers(
-            stored.actions.astype(np.int64), np.concatenate(states), world.inventory.index("agent"),
-            np.concatenate(contacts), np.concatenate(impulses), stored.learned,
-        )  # fmt: skip
-        drawn = np.concatenate(frames) if images else np.empty((0, *world.observe().shape), np.uint8)
-        return PlayedEpisode(stored, numbers, drawn, kept[:-1])
-
-    def _begin(self, world: World, stored: Stored) -> None:
-        row = stored.row
-        world.load(self._compact.puzzles[row.stream, row.world])
-        before = self._before[stored.number]
-        if before is not None:
-            world.restore_state(self._left.pop(before).result())
-        elif stored.number in self._given:
-            world.restore_state(self._given[stored.number])
+        return made, world.save_state()
 
     def _world(self) -> World:
         """A world for this thread alone."""
         if not hasattr(self._own, "world"):
             self._own.world = World()
         return self._own.world
+
+
+def _record(world: World, stored: Stored, *, images: bool) -> PlayedEpisode:
+    """Take the actions in a world that is in the episode's first state."""
+    states, frames = [world.object_state()[None]], [world.observe()[None]][: int(images)]
+    contacts, impulses, kept = [np.empty((0, 2), np.int64)], [np.empty(0)], []
+    at = 0
+    for stop in [*stored.row.keyframes, stored.row.steps]:
+        made = record(world, stored.actions[at:stop], images=images)
+        states.append(made.states)
+        contacts.append(made.contacts)
+        impulses.append(made.impulses)
+        frames.append(made.images)
+        kept.append(world.save_state())
+        at = stop
+    numbers = frame_numbers(
+        stored.actions.astype(np.int64), np.concatenate(states), world.inventory.index("agent"),
+        np.concatenate(contacts), np.concatenate(impulses), stored.learned,
+    )  # fmt: skip
+    return PlayedEpisode(stored, numbers, np.concatenate(frames), kept[:-1])
 
 
 def in_order(items: Iterable[Stored], task: Callable[[Stored], T], workers: int | None = None) -> Iterator[T]:

@@ -4,13 +4,13 @@ import functools
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from gym_open.formats.compact import Compact, open_compact
 from gym_open.formats.compact.layout import EpisodeRow
-from gym_open.formats.compact.reader import is_compact, predecessors
+from gym_open.formats.compact.reader import is_compact
 from gym_open.formats.pngs import encode_pngs
 from gym_open.formats.releases import IMAGE, Release, open_release
 from gym_open.formats.releases.content import feature_digest
@@ -30,14 +30,18 @@ _CACHED_EPISODES = 8
 """Simulated episodes that stay in memory: 22 MB each at 1,024 steps."""
 
 
-def open_dataset(root: Path) -> Release:
+def open_dataset(root: Path, *, check: Literal["records", "bytes"] = "records") -> Release:
     """Open a release or a compact release at `root`; both are read in the same way.
+
+    Args:
+        root: folder of either.
+        check: as for `open_release`. Every byte of a compact release is checked in any case.
 
     Raises:
         ArtefactError: if it is missing, damaged, or neither of both.
         MissingExtraError: if the packages that read releases are not installed.
     """
-    return CompactRelease(open_compact(root)) if is_compact(root) else open_release(root)
+    return CompactRelease(open_compact(root)) if is_compact(root) else open_release(root, check=check)
 
 
 class CompactRelease(Release):
@@ -50,6 +54,8 @@ class CompactRelease(Release):
         super().__init__(compact.root, compact.digest, compact.release_info)
         self.compact = compact
         self._cache: OrderedDict[int, PlayedEpisode] = OrderedDict()
+        self._ends: dict[int, np.ndarray] = {}
+        """Last state of every episode that was simulated for `images` or `numbers`: 3 kB each."""
 
     opener = staticmethod(open_dataset)
 
@@ -199,19 +205,28 @@ class CompactRelease(Release):
         if number in self._cache:
             self._cache.move_to_end(number)
             return self._cache[number]
-        by_play = {one.number: one for one in self._stored}
-        before = predecessors(self.compact.episodes)
-        chain = [self._stored[number].number]
-        while (last := before[chain[-1]]) is not None:
+        before, ends = self._player.before, self._ends
+        wanted = self._stored[number].number
+        chain = [wanted]
+        while (last := before[chain[-1]]) is not None and last not in ends:
             chain.append(last)
-        player = CompactPlayer(self.compact)
-        for play in reversed(chain[1:]):
-            player.play(by_play[play], images=False)
-        played = player.play(by_play[chain[0]])
-        self._cache[number] = played
+        for play in reversed(chain):
+            start = before[play]
+            played, ends[play] = self._player.play_from(
+                self._by_play[play], None if start is None else ends[start], images=play == wanted
+            )
+            self._cache[number] = played
         if len(self._cache) > _CACHED_EPISODES:
             self._cache.popitem(last=False)
-        return played
+        return self._cache[number]
+
+    @functools.cached_property
+    def _player(self) -> CompactPlayer:
+        return CompactPlayer(self.compact)
+
+    @functools.cached_property
+    def _by_play(self) -> dict[int, Stored]:
+        return {one.number: one for one in self._stored}
 
     def _all_numbers(self, *, simulate: bool) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
         """First frame and numeric features of every episode; only stored ones unless `simulate`."""

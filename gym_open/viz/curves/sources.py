@@ -18,7 +18,7 @@ from gym_open.results.runs import ScoredRun, artefact_folders, distinct, read_ru
 _REPORT = "table.json"
 _READ = frozenset({CURVE, _REPORT, artefacts.CONFIG, artefacts.LINEAGE})
 """Files of a model or report whose bytes are checked: only these are read."""
-_SKIPPED = ("log", "release", "recording", "figure")
+_SKIPPED = ("log", "release", "compact", "recording", "figure")
 _MAX_TARGETS, _MAX_PROBES = 24, 120
 """Targets that are drawn of one probe, and probes that are drawn."""
 

@@ -33,14 +33,14 @@ def view(config: VizConfig, source: Path, choice: Choice) -> View:  # noqa: ARG0
         ArtefactError: if an artefact is damaged, or `source` has no encoder of images.
         UsageError: if `choice` selects anything else than a release.
     """
-    from gym_open.formats.releases import open_release
+    from gym_open.replay.compact.release import open_dataset
     from gym_open.results.records import read_curve
     from gym_open.viz.features import layout
 
     choice.refuse_others("an encoder", {"release"})
     artefacts.verify(source, hashed=lambda name: not name.endswith(".mcap"))  # this reads only the encoder of a log
     encoder = _load(source)
-    release = None if choice.release is None else open_release(choice.release)
+    release = None if choice.release is None else open_dataset(choice.release)
     curve, name = read_curve(source), source.resolve().name
 
     def fill(rec: "rr.RecordingStream") -> None:

@@ -7,8 +7,8 @@ import rerun as rr
 from gym_open import artefacts
 from gym_open.envs.constants import PITCH
 from gym_open.errors import ArtefactError
-from gym_open.formats.releases import open_release
 from gym_open.formats.releases.reader import Release
+from gym_open.replay.compact.release import CompactRelease, open_dataset
 from gym_open.viz import documents
 from gym_open.viz.config import Choice, VizConfig
 from gym_open.viz.streams import logs, releases
@@ -51,8 +51,9 @@ def open_streams(source: Path, choice: Choice) -> tuple[str, list[ShownStream]]:
     """Title of the source, and its streams or their selected part; raises the errors of `view`."""
     if _is_release(source):
         choice.refuse_others("a release", {"stream", "segment", "steps", "episode"})
-        checked = open_release(source)
-        release = Release(checked.root, checked.digest, checked.info, cached_groups=_CACHED_GROUPS)
+        release = open_dataset(source)
+        if not isinstance(release, CompactRelease):
+            release = Release(release.root, release.digest, release.info, cached_groups=_CACHED_GROUPS)
         title = f"{release.name} {release.version}"
         streams = chosen(releases.open_streams(release), releases.narrowed(release, choice), source)
     else:
@@ -64,7 +65,7 @@ def open_streams(source: Path, choice: Choice) -> tuple[str, list[ShownStream]]:
 
 def _is_release(source: Path) -> bool:
     record = _lineage(source)
-    return record is not None and record.kind == "release"
+    return record is not None and record.kind in {"release", "compact"}
 
 
 def _lineage(source: Path) -> artefacts.Lineage | None:
