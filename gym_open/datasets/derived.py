@@ -124,10 +124,10 @@ def _kept(chosen: Sequence[tuple[Release, np.ndarray]], left_out: Collection[str
     streams, logs = 0, 0
     for release, numbers in chosen:
         rows = release.table("streams")
-        left_out = set(release.episodes["stream"]) - set(release.episodes["stream"].iloc[numbers])
+        gone = set(release.episodes["stream"]) - set(release.episodes["stream"].iloc[numbers])
         batches = dict(zip(release.episodes["stream"], release.episodes["meta/episodes/file_index"], strict=True))
         every = {row["stream"]: (batches.get(row["stream"], 0), row["log"]) for row in rows.to_dict("records")}
-        kept = {stream: place for stream, place in every.items() if stream not in left_out}
+        kept = {stream: place for stream, place in every.items() if stream not in gone}
         order = {place: logs + i for i, place in enumerate(dict.fromkeys(kept.values()))}
         found.append(
             KeptEpisodes(

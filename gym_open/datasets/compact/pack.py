@@ -6,6 +6,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from gym_open import artefacts, progress
@@ -16,6 +17,7 @@ from gym_open.datasets.compact.documents import compact_card
 from gym_open.datasets.compare import payload
 from gym_open.errors import ArtefactError
 from gym_open.formats.compact import Compact
+from gym_open.formats.compact.before import visits_before
 from gym_open.formats.compact.files import NumberWriter, write_rows
 from gym_open.formats.compact.layout import (
     ACTIONS,
@@ -96,7 +98,7 @@ def _write(release: Release, folder: Path) -> CompactInfo:
     write_rows(folder / STREAMS, streams)
     write_rows(folder / WORLDS, _worlds(release))
     _write_switches(release, folder)
-    rows, states = _episodes(release, {row.stream: row.batch for row in streams})
+    rows, states = _episodes(release, streams)
     write_rows(folder / EPISODES, [row for _, row in rows])
     if states:
         write_rows(folder / STATES, [StateRow(values) for values in states])
@@ -144,7 +146,7 @@ def _write_switches(release: Release, folder: Path) -> None:
 
 
 def _episodes(
-    release: Release, batches: Mapping[int, int]
+    release: Release, streams: Sequence[StreamRow]
 ) -> tuple[list[tuple[dict[str, Any], EpisodeRow]], list[list[float]]]:
     """Rows of all episodes in the order in which they were played, and the states with which some of them begin."""
     frames = release.arrow_table("keyframes").select(["episode_index", "frame_index"]).to_pandas()
@@ -155,7 +157,8 @@ def _episodes(
         ({str(name): value for name, value in row.items()} for row in release.episodes.to_dict("records")),
         key=lambda row: (row["meta/episodes/file_index"], row["stream"], row["first_step"], row["piece"]),
     )
-    starts = _Starts(release, {number for number, own in keyframes.items() if own[0] == 0})
+    batches = {row.stream: row.batch for row in streams}
+    starts = _Starts(release, streams, {number for number, own in keyframes.items() if own[0] == 0})
     found: list[tuple[dict[str, Any], EpisodeRow]] = []
     for row in played:
         number = row["episode_index"]
@@ -171,19 +174,25 @@ def _episodes(
 
 
 class _Starts:
-    """Finds out how episodes begin, in the order in which they were played."""
+    """Finds out how episodes begin."""
 
-    def __init__(self, release: Release, kept: set[int]) -> None:
+    def __init__(self, release: Release, streams: Sequence[StreamRow], kept: set[int]) -> None:
         self._release, self._kept = release, kept
         """Numbers of the episodes whose first state is in the release."""
-        self._before = _visits_before(release)
-        self._last: dict[str, Any] = {}
-        self._left: dict[tuple[int, int], dict[str, Any]] = {}
-        """The last episode of each stream and world so far."""
+        rows = release.episodes
+        places = zip(rows["stream"], rows["segment"], rows["piece"], rows["ended"], strict=True)
+        self._ended = {(stream, segment, piece): ended for stream, segment, piece, ended in places}
+        table = release.arrow_table("switches").select(["stream", "step", "from_world", "to_world"])
+        whole = _whole_logs(streams)
+        of_whole = [(row.stream, (row.batch, row.log), row.log_stream) for row in streams if row.stream in whole]
+        switches = zip(*(column.to_pylist() for column in table.columns), strict=True)
+        self._left = visits_before(of_whole, list(switches))
+        self._ends = {place[:2]: ended for place, ended in sorted(self._ended.items())}
+        """How the last piece of each segment in the release ended."""
         self._stored: list[int] = []
 
-    def of(self, row: dict[str, Any]) -> Start:
-        """How the next episode begins.
+    def of(self, row: Mapping[str, Any]) -> Start:
+        """How an episode begins; to be called in the order in which they are stored.
 
         Raises:
             ArtefactError: if nothing in the release leads to its first state.
@@ -196,19 +205,16 @@ class _Starts:
                     "have, and the episodes before it were filtered out; pack the release that it was made from"
                 )
             self._stored.append(row["episode_index"])
-        self._last = self._left[row["stream"], row["world"]] = row
         return found
 
     def _of(self, row: Mapping[str, Any]) -> Start:
-        place = ("stream", "segment", "piece")
-        if row["piece"]:
-            before = [self._last.get(name) for name in place]
-            return "episode" if before == [row["stream"], row["segment"], row["piece"] - 1] else "state"
+        stream, segment, piece = row["stream"], row["segment"], row["piece"]
+        if piece:
+            return "episode" if (stream, segment, piece - 1) in self._ended else "state"
         if not row["continued"]:
             return "layout"
-        left = self._left.get((row["stream"], row["world"]), {})
-        whole = left.get("segment") == self._before.get((row["stream"], row["segment"]))
-        return "world" if left and whole and left["ended"] != LENGTH_CAP else "state"
+        ended = self._ends.get(self._left.get((stream, segment), (-1, -1)), LENGTH_CAP)
+        return "state" if ended == LENGTH_CAP else "world"
 
     def states(self) -> list[list[float]]:
         """The states of the episodes that begin with one, in their order."""
@@ -218,18 +224,18 @@ class _Starts:
         return [table["integration_state"][rows[number]].as_py() for number in self._stored]
 
 
-def _visits_before(release: Release) -> dict[tuple[int, int], int]:
-    """For each stream and segment, the segment in which the stream was in the same world before, if there is one."""
-    table = release.arrow_table("switches").sort_by([("stream", "ascending"), ("step", "ascending")])
-    numbers: dict[int, int] = {}
-    last: dict[tuple[int, int], int] = {}
-    found: dict[tuple[int, int], int] = {}
-    for stream, world in zip(table["stream"].to_pylist(), table["to_world"].to_pylist(), strict=True):
-        segment = numbers[stream] = numbers.get(stream, -1) + 1
-        if (stream, world) in last:
-            found[stream, segment] = last[stream, world]
-        last[stream, world] = segment
-    return found
+def _whole_logs(streams: Sequence[StreamRow]) -> set[int]:
+    """The streams of logs of which the release has all streams: in others, who left a world may be missing."""
+    logs: dict[tuple[int, int], list[StreamRow]] = {}
+    for row in streams:
+        logs.setdefault((row.batch, row.log), []).append(row)
+    return {
+        row.stream
+        for rows in logs.values()
+        for row in rows
+        if len(rows) == msgspec.json.decode(row.config, type=dict[str, Any]).get("streams", len(rows))
+        and [one.log_stream for one in rows] == list(range(len(rows)))
+    }
 
 
 def _write_steps(

@@ -12,6 +12,7 @@ import numpy as np
 from gym_open import artefacts, extras
 from gym_open.envs.puzzles import Puzzle
 from gym_open.errors import ArtefactError, GymOpenError
+from gym_open.formats.compact.before import predecessors, visits_before
 from gym_open.formats.compact.files import NumberReader, read_rows
 from gym_open.formats.compact.layout import (
     ACTIONS,
@@ -107,6 +108,13 @@ class Compact:
             number, frame = number + 1, frame + self.episodes[i].steps + 1
         return found
 
+    @functools.cached_property
+    def before(self) -> list[int | None]:
+        """For each episode, the number of the episode in whose last state it begins; None for another start."""
+        streams = [(row.stream, (row.batch, row.log), row.log_stream) for row in self.streams]
+        switches = [(row.stream, row.step, row.from_world, row.to_world) for row in self.switches]
+        return predecessors(self.episodes, visits_before(streams, switches))
+
     @contextmanager
     def actions(self) -> Iterator[NumberReader]:
         """All actions, episode by episode."""
@@ -198,33 +206,12 @@ def _check_rows(opened: Compact) -> None:
         expect((row.stream, row.world) in opened.puzzles, f"{where}: stream {row.stream} has no world {row.world}")
         expect(row.steps <= limit, f"{where}: more than {limit} steps")
         expect(_ascending(row.keyframes, row.steps), f"{where}: keyframes are not frames in order")
-    for i, before in enumerate(predecessors(rows)):
+    for i, before in enumerate(opened.before):
         expect(rows[i].start not in {"episode", "world"} or before is not None, f"episode {i}: nothing comes before it")
 
 
 def _ascending(frames: Sequence[int], last: int) -> bool:
     return list(frames) == sorted(set(frames)) and (not frames or 0 <= frames[0] <= frames[-1] <= last)
-
-
-def predecessors(rows: Sequence[EpisodeRow]) -> list[int | None]:
-    """For each episode in order, the number of the episode in whose last state it begins; None for another start.
-
-    An episode that continues the episode before it must be the next one of the same segment.
-    """
-    last: dict[tuple[int, int], int] = {}
-    found: list[int | None] = []
-    for i, row in enumerate(rows):
-        place = row.stream, row.world
-        before: int | None = None
-        if row.start == "world":
-            before = last.get(place)
-        elif row.start == "episode" and i:
-            one = rows[i - 1]
-            same = (one.stream, one.segment, one.piece + 1) == (row.stream, row.segment, row.piece)
-            before = i - 1 if same and one.world == row.world else None
-        found.append(before)
-        last[place] = i
-    return found
 
 
 def is_compact(root: Path) -> bool:

@@ -1,9 +1,10 @@
 """Simulate the episodes of a compact release again, in threads.
 
-An episode begins with the layout of its world, or where an earlier episode ended. Threads play episodes at the same
-time; one that continues another waits until that one has been simulated.
+An episode begins with the layout of its world, or where an earlier episode ended, perhaps of another stream. Threads
+play episodes at the same time.
 """
 
+import functools
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -19,7 +20,6 @@ from gym_open.envs.world import World
 from gym_open.errors import ArtefactError, GymOpenError
 from gym_open.formats.compact import Compact
 from gym_open.formats.compact.layout import EPISODES, EpisodeRow
-from gym_open.formats.compact.reader import predecessors
 from gym_open.formats.releases.frames import frame_numbers
 from gym_open.hardware import usable_cores
 
@@ -66,7 +66,10 @@ def stored_episodes(compact: Compact, *, columns: bool = True) -> Iterator[Store
 
 
 class CompactPlayer:
-    """Plays episodes of one compact release. Its methods may be called by several threads.
+    """Plays episodes of one compact release, in any order. Its methods may be called by several threads.
+
+    An episode that begins where another one ended needs that one's last state. If that one was not played yet, it is
+    simulated without images, and so is what it continues itself.
 
     Raises:
         ArtefactError: if its objects are not those of this version's world.
@@ -74,13 +77,15 @@ class CompactPlayer:
 
     def __init__(self, compact: Compact) -> None:
         self._compact = compact
-        rows = compact.episodes
-        self.before = predecessors(rows)
-        """For each episode, the number of the one that it continues."""
-        self._left: dict[int, Future[np.ndarray]] = {before: Future() for before in self.before if before is not None}
-        """Last state of each episode that another one continues."""
+        self._before = compact.before
+        needed = {before for before in self._before if before is not None}
+        self._ends: dict[int, Future[np.ndarray]] = {number: Future() for number in sorted(needed)}
+        """Last state of each episode that another one continues: 3 kB."""
+        self._begun: set[int] = set()
+        """Numbers of those that a thread plays or has played."""
+        self._lock = threading.Lock()
         given = iter(compact.states)
-        self._given = {i: next(given) for i, row in enumerate(rows) if row.start == "state"}
+        self._given = {i: next(given) for i, row in enumerate(compact.episodes) if row.start == "state"}
         self._own = threading.local()
         there, expected = tuple(compact.release_info["gym_open"]["objects"]), World().inventory
         if there != expected:
@@ -90,43 +95,68 @@ class CompactPlayer:
             )
 
     def play(self, stored: Stored, *, images: bool = True) -> PlayedEpisode:
-        """Simulate an episode, once. It waits for the episode that it continues, which must be played, too.
+        """Simulate an episode.
 
         Raises:
             ArtefactError: if the actions or a stored state cannot be simulated.
         """
-        left = self._left.get(stored.number)
-        before = self.before[stored.number]
+        with self._lock:
+            self._begun.add(stored.number)
         try:
-            start = None if before is None else self._left.pop(before).result()
-            played, end = self.play_from(stored, start, images=images)
+            played, end = self._play_from(stored, self._start_of(stored.number), images=images)
         except BaseException as error:
-            if left is not None:
-                left.set_exception(error)
+            self._finish(stored.number, error=error)
             raise
-        if left is not None:
-            left.set_result(end)
+        self._finish(stored.number, end=end)
         return played
 
-    def play_from(
-        self, stored: Stored, start: np.ndarray | None, *, images: bool = True
-    ) -> tuple[PlayedEpisode, np.ndarray]:
-        """Simulate an episode and return it and its last state.
+    def _finish(self, number: int, *, end: np.ndarray | None = None, error: BaseException | None = None) -> None:
+        """Tell those that wait for the last state of an episode."""
+        with self._lock:
+            future = self._ends.get(number)
+            if future is None or future.done():
+                return
+            if end is not None:
+                future.set_result(end)
+            else:
+                future.set_exception(error)
 
-        Args:
-            stored: what is stored of it.
-            start: last state of the episode that it continues; None if it continues none.
-            images: whether to draw the images.
+    def _start_of(self, number: int) -> np.ndarray | None:
+        """The state in which an episode begins; None for a layout."""
+        before = self._before[number]
+        if before is None:
+            return self._given.get(number)
+        chain: list[int] = []
+        with self._lock:
+            at: int | None = before
+            while at is not None and at not in self._begun:
+                self._begun.add(at)
+                chain.append(at)
+                at = self._before[at]
+        for one in reversed(chain):  # each continues the one after it in the chain
+            self.play(self._stored(one), images=False)
+        return self._ends[before].result()
 
-        Raises:
-            ArtefactError: if the actions or a stored state cannot be simulated.
-        """
+    def _stored(self, number: int) -> Stored:
+        first, row = int(self._firsts[number]), self._compact.episodes[number]
+        return Stored(number, row, self._actions[first : first + row.steps], {})
+
+    @functools.cached_property
+    def _firsts(self) -> np.ndarray:
+        return np.cumsum([0, *(row.steps for row in self._compact.episodes)])
+
+    @functools.cached_property
+    def _actions(self) -> np.ndarray:
+        with self._compact.actions() as file:
+            return file.take(self._compact.info.steps)
+
+    def _play_from(self, stored: Stored, start: np.ndarray | None, *, images: bool) -> tuple[PlayedEpisode, np.ndarray]:
+        """Simulate an episode from a state, or from its layout, and return it and its last state."""
         row, world = stored.row, self._world()
         try:
             world.load(self._compact.puzzles[row.stream, row.world])
-            state = self._given.get(stored.number) if start is None else start
-            if state is not None:
-                world.restore_state(state)
+            if start is not None:
+                world.restore_state(start)
             made = _record(world, stored, images=images)
         except GymOpenError as error:
             raise ArtefactError(

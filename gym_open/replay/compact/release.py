@@ -54,8 +54,6 @@ class CompactRelease(Release):
         super().__init__(compact.root, compact.digest, compact.release_info)
         self.compact = compact
         self._cache: OrderedDict[int, PlayedEpisode] = OrderedDict()
-        self._ends: dict[int, np.ndarray] = {}
-        """Last state of every episode that was simulated for `images` or `numbers`: 3 kB each."""
 
     opener = staticmethod(open_dataset)
 
@@ -201,21 +199,10 @@ class CompactRelease(Release):
             yield int(self._firsts[number]), self._episode(number)
 
     def _episode(self, number: int) -> PlayedEpisode:
-        """Simulate the episode with this number in the release, after those that it continues."""
-        if number in self._cache:
-            self._cache.move_to_end(number)
-            return self._cache[number]
-        before, ends = self._player.before, self._ends
-        wanted = self._stored[number].number
-        chain = [wanted]
-        while (last := before[chain[-1]]) is not None and last not in ends:
-            chain.append(last)
-        for play in reversed(chain):
-            start = before[play]
-            played, ends[play] = self._player.play_from(
-                self._by_play[play], None if start is None else ends[start], images=play == wanted
-            )
-            self._cache[number] = played
+        """Simulate the episode with this number in the release, unless it is in memory."""
+        if number not in self._cache:
+            self._cache[number] = self._player.play(self._stored[number])
+        self._cache.move_to_end(number)
         if len(self._cache) > _CACHED_EPISODES:
             self._cache.popitem(last=False)
         return self._cache[number]
@@ -223,10 +210,6 @@ class CompactRelease(Release):
     @functools.cached_property
     def _player(self) -> CompactPlayer:
         return CompactPlayer(self.compact)
-
-    @functools.cached_property
-    def _by_play(self) -> dict[int, Stored]:
-        return {one.number: one for one in self._stored}
 
     def _all_numbers(self, *, simulate: bool) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
         """First frame and numeric features of every episode; only stored ones unless `simulate`."""
