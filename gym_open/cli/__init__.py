@@ -14,7 +14,7 @@ from typing import Any, get_type_hints
 import tyro
 
 from gym_open import extras
-from gym_open.cli import datasets, logs, results, stages, viz, world
+from gym_open.cli import datasets, exchange, logs, results, stages, viz, world
 from gym_open.cli.base import Command, speaking
 from gym_open.config import check, load
 from gym_open.envs.look.backend import check_backend
@@ -36,12 +36,12 @@ COMMANDS: dict[str, type[Command]] = {
     "dataset list": datasets.DatasetList,
     "dataset merge": datasets.DatasetMerge,
     "dataset filter": datasets.DatasetFilter,
-    "dataset pack": datasets.DatasetPack,
-    "dataset restore": datasets.DatasetRestore,
+    "dataset pack": exchange.DatasetPack,
+    "dataset restore": exchange.DatasetRestore,
     "dataset export": datasets.DatasetExport,
-    "dataset sign": datasets.DatasetSign,
-    "dataset push": datasets.DatasetPush,
-    "dataset pull": datasets.DatasetPull,
+    "dataset sign": exchange.DatasetSign,
+    "dataset push": exchange.DatasetPush,
+    "dataset pull": exchange.DatasetPull,
     "train encoder": stages.TrainEncoder,
     "train policy": stages.TrainPolicy,
     "train probe": stages.TrainProbe,

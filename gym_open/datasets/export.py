@@ -16,7 +16,7 @@ from gym_open.files import unwritable
 from gym_open.formats.releases import IMAGE, Release
 from gym_open.formats.releases.features import numeric
 from gym_open.formats.releases.layout import PART
-from gym_open.replay.compact.release import open_dataset
+from gym_open.replay.compact import open_dataset
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -30,7 +30,7 @@ from gym_open.formats.releases import IMAGE
 from gym_open.formats.windows import Batch, Pictures, Windows
 from gym_open.hardware import check_device, hardware
 from gym_open.precision import settle
-from gym_open.replay.compact.release import open_dataset
+from gym_open.replay.compact import open_dataset
 from gym_open.train.config import EncoderTrainConfig
 from gym_open.train.curve import Board, Row, clean, save_curve
 

@@ -4,15 +4,14 @@ import functools
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gym_open.formats.compact import Compact, open_compact
 from gym_open.formats.compact.layout import EpisodeRow
-from gym_open.formats.compact.reader import is_compact
 from gym_open.formats.pngs import encode_pngs
-from gym_open.formats.releases import IMAGE, Release, open_release
+from gym_open.formats.releases import IMAGE, Release
 from gym_open.formats.releases.content import feature_digest
 from gym_open.formats.releases.frames import frame_numbers
 from gym_open.formats.releases.schemas import EPISODE_ROW, table_schema
@@ -30,20 +29,6 @@ _CACHED_EPISODES = 8
 """Simulated episodes that stay in memory: 22 MB each at 1,024 steps."""
 
 
-def open_dataset(root: Path, *, check: Literal["records", "bytes"] = "records") -> Release:
-    """Open a release or a compact release at `root`; both are read in the same way.
-
-    Args:
-        root: folder of either.
-        check: as for `open_release`. Every byte of a compact release is checked in any case.
-
-    Raises:
-        ArtefactError: if it is missing, damaged, or neither of both.
-        MissingExtraError: if the packages that read releases are not installed.
-    """
-    return CompactRelease(open_compact(root)) if is_compact(root) else open_release(root, check=check)
-
-
 class CompactRelease(Release):
     """The release that a compact release stands for.
 
@@ -55,7 +40,10 @@ class CompactRelease(Release):
         self.compact = compact
         self._cache: OrderedDict[int, PlayedEpisode] = OrderedDict()
 
-    opener = staticmethod(open_dataset)
+    @staticmethod
+    def opener(root: Path) -> Release:
+        """Open a compact release, for copies in other processes."""
+        return CompactRelease(open_compact(root))
 
     @property
     def records(self) -> Path:

@@ -33,7 +33,7 @@ def view(config: VizConfig, source: Path, choice: Choice) -> View:  # noqa: ARG0
         ArtefactError: if an artefact is damaged, or `source` has no encoder of images.
         UsageError: if `choice` selects anything else than a release.
     """
-    from gym_open.replay.compact.release import open_dataset
+    from gym_open.replay.compact import open_dataset
     from gym_open.results.records import read_curve
     from gym_open.viz.features import layout
 

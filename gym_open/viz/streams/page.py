@@ -8,7 +8,8 @@ from gym_open import artefacts
 from gym_open.envs.constants import PITCH
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases.reader import Release
-from gym_open.replay.compact.release import CompactRelease, open_dataset
+from gym_open.replay.compact import open_dataset
+from gym_open.replay.compact.release import CompactRelease
 from gym_open.viz import documents
 from gym_open.viz.config import Choice, VizConfig
 from gym_open.viz.streams import logs, releases

@@ -12,7 +12,8 @@ from gym_open.formats.releases import Release, open_release
 from gym_open.formats.releases.content import table_digest
 from gym_open.formats.releases.layout import TABLES
 from gym_open.formats.windows import Pictures, Windows
-from gym_open.replay.compact.release import CompactRelease, open_dataset
+from gym_open.replay.compact import open_dataset
+from gym_open.replay.compact.release import CompactRelease
 from tests.datasets.compact.conftest import learned_log, random_log, release  # noqa: F401  # fixtures
 
 FILES = {"data/chunk_index", "data/file_index", "meta/episodes/chunk_index", "tasks"}
