@@ -15,6 +15,7 @@ from gym_open.version import __version__
 ENTRIES = {
     "log": ("gym_open.collect.explore",),
     "release": ("gym_open.datasets.build", "gym_open.datasets.merge", "gym_open.datasets.filter"),
+    "packed-log": ("gym_open.replay.compact.logs",),
     "compact": ("gym_open.datasets.compact.pack",),
     "encoder": ("gym_open.train.encoder",),
     "policy": ("gym_open.train.policy",),

@@ -28,6 +28,8 @@ COMMANDS: dict[str, type[Command]] = {
     "collect": stages.CollectCommand,
     "log info": logs.LogInfo,
     "log replay": logs.LogReplay,
+    "log pack": logs.LogPack,
+    "log restore": logs.LogRestore,
     "log repair": logs.LogRepair,
     "dataset build": datasets.DatasetBuild,
     "dataset verify": datasets.DatasetVerify,

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from gym_open.cli.base import Command, say, say_made, say_next, show
+from gym_open.cli.base import ArtefactCommand, Command, report, say, say_made, say_next, show
 from gym_open.errors import GymOpenError
 from gym_open.summary import short, word
 
@@ -57,6 +57,50 @@ class LogReplay(Command):
         show(f"verdict: [bold]{report.verdict}[/]")
         if report.verdict == "diverged":
             raise GymOpenError(f"{short(self.log)}: the replay has diverged, first in {report.first_diverged}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogPack(ArtefactCommand):
+    """Pack a log as its actions and the explorer's own values; everything else is simulated again.
+
+    Example: gym-open log pack collect/logs/random
+    """
+
+    log: Annotated[Path, tyro.conf.Positional]
+    """Folder of a log from `gym-open collect`."""
+    out: Path | None = None
+    """Folder of the packed log; default the log's folder with -packed added to its name."""
+
+    about = "pack a log as its actions"
+
+    def run(self) -> None:
+        """Pack the log, and restore it once to check every byte."""
+        from gym_open.replay.compact.logs import pack_log
+
+        made = pack_log(self.log, self.out or self.log.with_name(f"{self.log.name}-packed"))
+        report(made, f"gym-open log restore {word(made.path)} --out FOLDER")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogRestore(Command):
+    """Make a log again from a packed log: the same bytes.
+
+    Example: gym-open log restore collect/logs/random-packed --out collect/logs/random
+    """
+
+    packed: Annotated[Path, tyro.conf.Positional]
+    """Folder of a packed log."""
+    out: Path
+    """Folder of the log."""
+
+    about = "make a log again from a packed log"
+
+    def run(self) -> None:
+        """Restore the log."""
+        from gym_open.replay.compact.logs import restore_log
+
+        restore_log(self.packed, self.out)
+        say_made(self.out, f"gym-open log info {word(self.out)}")
 
 
 @dataclass(frozen=True, kw_only=True)

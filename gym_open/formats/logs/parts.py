@@ -1,7 +1,7 @@
 """The files of one stream's log: when a file is large enough, the next one begins."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -59,12 +59,22 @@ class LogParts:
         writer.metadata(schemas.HEAD, identity)
         writer.metadata(schemas.PROVENANCE, dict(sorted(head.provenance.items())))
 
-    def add(self, record: Record) -> None:
-        """Write a record; a keyframe goes into a new file if the present file is large enough."""
+    def add(self, record: Record, *, ends: Container[int] = (), starts: Container[int] = ()) -> None:
+        """Write a record; a keyframe goes into a new file if the present file is large enough.
+
+        Args:
+            record: the record.
+            ends: numbers of messages in all parts after which a chunk ends.
+            starts: numbers of messages before which a file begins.
+        """
+        if self.messages in starts:
+            self._roll()
         if isinstance(record, SegmentStart) and self.messages > self._first and self._writer.size >= self._roll_bytes:
             self._roll()
         for message in messages_of(record, self._head.reward_parts):
             self.put(message)
+            if self.messages in ends:
+                self.flush()
 
     def _roll(self) -> None:
         self.finish(goes_on=True)
