@@ -159,7 +159,7 @@ class DatasetList(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetExport(Command):
-    """Export one split of a release as NumPy arrays or as a Minari dataset.
+    """Export one split of a release as NumPy arrays or as a Minari dataset, or a preview of all of it for a browser.
 
     Example: gym-open dataset export datasets/open/explore/1.0.0 --form npz --split train --out train.npz
     """
@@ -167,22 +167,27 @@ class DatasetExport(Command):
     release: Release
     """Folder of a release."""
     out: Path
-    """The .npz file to write, or the folder of Minari's datasets."""
-    form: Literal["npz", "minari"] = "npz"
-    """Format to write; Minari needs `gym-open[minari]`."""
+    """The .npz file to write, the folder of Minari's datasets, or the folder of the preview."""
+    form: Literal["npz", "minari", "preview"] = "npz"
+    """Format to write; Minari needs `gym-open[minari]`. A preview is a LeRobot dataset with video that browsers play,
+    which LeRobot's online visualizer shows."""
     split: str = "train"
-    """Split to export."""
+    """Split to export; a preview has all splits."""
     dataset_id: str | None = None
     """Minari's id of the dataset, NAMESPACE/NAME-vN; default the release's name, split and major version."""
 
-    about = "export a split as NumPy (npz) or Minari"
+    about = "export a split as NumPy (npz) or Minari, or a preview"
 
     def run(self) -> None:
         """Export the split."""
         from gym_open.datasets.export import export_minari, export_npz
         from gym_open.replay.compact import open_dataset
 
-        if self.form == "npz":
+        if self.form == "preview":
+            from gym_open.datasets.preview import export_preview
+
+            path = export_preview(self.release, self.out)
+        elif self.form == "npz":
             path = export_npz(self.release, self.split, self.out)
         else:
             about = open_dataset(self.release)

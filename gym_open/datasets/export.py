@@ -53,7 +53,7 @@ def export_npz(root: Path, split: str, out: Path) -> Path:
     release, rows = _opened(root, split)
     lengths = rows["length"].to_numpy()
     frames = int(lengths.sum())
-    with _beside(out) as partial, progress.bar("dataset export", 2 * frames) as bar:
+    with beside(out) as partial, progress.bar("dataset export", 2 * frames) as bar:
         partial.mkdir()
         members = _write_numbers(release, rows, partial, bar)
         for name, values in {
@@ -112,7 +112,7 @@ def export_minari(root: Path, split: str, out: Path, dataset_id: str) -> Path:
     release, rows = _opened(root, split)
     rows = rows[rows["steps"] > 0]
     target = out / dataset_id
-    with _beside(out, target) as partial, progress.bar("dataset export", int(rows["length"].sum())) as bar:
+    with beside(out, target) as partial, progress.bar("dataset export", int(rows["length"].sum())) as bar:
         data = partial / "data"
         data.mkdir(parents=True)
         storage = MinariStorage.new(data, *_spaces(release), jpeg_encoding=False)
@@ -145,7 +145,7 @@ def _opened(root: Path, split: str) -> "tuple[Release, pd.DataFrame]":
 
 
 @contextmanager
-def _beside(out: Path, target: Path | None = None) -> Iterator[Path]:
+def beside(out: Path, target: Path | None = None) -> Iterator[Path]:
     """A path next to `out`, to write and to rename to `out` or to `target` in it. Leftovers are removed.
 
     Raises:

@@ -7,7 +7,7 @@ import numpy as np
 
 from gym_open.datasets.writing.sources import SourceEpisode
 from gym_open.datasets.writing.statistics import Stats, feature_stats, image_stats
-from gym_open.datasets.writing.video import decode_clip, encode_clip, pixel_error
+from gym_open.datasets.writing.video import Coding, decode_clip, encode_clip, pixel_error
 from gym_open.errors import ArtefactError
 from gym_open.formats.pngs import decode_untrusted, encode_pngs
 from gym_open.formats.releases.content import feature_digest
@@ -30,15 +30,18 @@ class Prepared(msgspec.Struct, frozen=True, eq=False):
     """Columns of `meta/episodes` about the error of encoding."""
 
 
-def prepare(episode: SourceEpisode, *, video: bool = False) -> Prepared:
-    """Encode an episode and compute its statistics and digests. Existing PNG files are copied unchanged."""
+def prepare(episode: SourceEpisode, *, video: Coding | None = None) -> Prepared:
+    """Encode an episode, as PNG files or as video, and compute its statistics and digests.
+
+    Existing PNG files are copied unchanged.
+    """
     images = episode.images
     if images is None:
         assert episode.pngs is not None
         images = np.stack([_decoded(data) for data in episode.pngs])
     pngs, clip, measured = episode.pngs, None, {}
     if video:
-        pngs, clip, logged = None, encode_clip(images), images
+        pngs, clip, logged = None, encode_clip(images, video), images
         images = decode_clip(clip)
         measured = {PIXEL_ERROR + name: value for name, value in pixel_error(logged, images).items()}
     elif pngs is None:

@@ -15,7 +15,7 @@ hardly any bytes over lossless coding. Browsers do not play RGB. LeRobot, PyAV a
 import io
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -29,24 +29,46 @@ MAX_FRAMES = 25_000
 """Frames per file. LeRobot finds a frame by its time in float32 to 0.1 ms; float32 is that fine up to 1,024 s."""
 _GROUP = 12
 """Frames between two that are coded on their own. With 25 it is 214 bytes per frame, but random access is slower."""
-_OPTIONS = {"qp": "0", "preset": "medium", "g": str(_GROUP), "bf": "0"}
+_COMMON = {"preset": "medium", "g": str(_GROUP), "bf": "0"}
 _FRAME = Fraction(CONTROL_DT_S).limit_denominator(10**6)
 """Duration of a frame in seconds, the unit of all times here."""
 
 
-def encode_clip(images: np.ndarray) -> bytes:
+class Coding(NamedTuple):
+    """How images become video."""
+
+    encoder: str
+    pixels: str
+    """FFmpeg's name of the pixel format."""
+    options: dict[str, str]
+    scale: int = 1
+    """Width and height of a square that shows one pixel."""
+
+
+EXACT = Coding("libx264rgb", "rgb24", {**_COMMON, "qp": "0"})
+"""Lossless."""
+BROWSER = Coding("libx264", "yuv420p", {**_COMMON, "crf": "12"}, scale=2)
+"""What browsers play. 4:2:0 stores one colour for four pixels; at double size, that is one for each image pixel."""
+
+
+def enlarged(image: np.ndarray, scale: int) -> np.ndarray:
+    """The image (H, W, 3) with every pixel as a square of `scale` pixels."""
+    return image if scale == 1 else image.repeat(scale, axis=0).repeat(scale, axis=1)
+
+
+def encode_clip(images: np.ndarray, coding: Coding = EXACT) -> bytes:
     """Encode images (n, H, W, 3) uint8 RGB as an mp4 that can be appended to others. Equal images give equal bytes."""
     import av
     from av.video.stream import VideoStream
 
     out = io.BytesIO()
     with av.open(out, "w", format="mp4") as container:
-        stream = container.add_stream("libx264rgb", rate=1 / _FRAME, options=_OPTIONS)
+        stream = container.add_stream(coding.encoder, rate=1 / _FRAME, options=coding.options)
         assert isinstance(stream, VideoStream)
-        stream.height, stream.width = images.shape[1:3]
-        stream.pix_fmt, stream.time_base, stream.thread_count = "rgb24", _FRAME, 1
+        stream.height, stream.width = (coding.scale * size for size in images.shape[1:3])
+        stream.pix_fmt, stream.time_base, stream.thread_count = coding.pixels, _FRAME, 1
         for number, image in enumerate(images):
-            frame = av.VideoFrame.from_ndarray(image, format="rgb24")
+            frame = av.VideoFrame.from_ndarray(enlarged(image, coding.scale), format="rgb24")
             frame.pts, frame.time_base = number, _FRAME
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
@@ -65,10 +87,11 @@ def decode_clip(data: bytes) -> np.ndarray:
 
 
 def pixel_error(logged: np.ndarray, decoded: np.ndarray) -> dict[str, float]:
-    """Mean and largest absolute difference, and mean square difference, in levels of 255."""
+    """Mean and largest absolute difference, and mean square difference, in levels of 255; `decoded` may be larger."""
     mean = largest = square = 0.0
+    scale = decoded.shape[1] // logged.shape[1]
     for a, b in zip(logged, decoded, strict=True):  # one image at a time, to save memory
-        error = np.abs(a.astype(np.int16) - b)
+        error = np.abs(enlarged(a, scale).astype(np.int16) - b)
         mean += float(error.mean())
         largest = max(largest, float(error.max()))
         square += float(np.square(error, dtype=np.int64).mean())

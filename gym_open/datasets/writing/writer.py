@@ -28,6 +28,7 @@ from gym_open.datasets.writing.prepare import Prepared, prepare
 from gym_open.datasets.writing.sources import SourceEpisode
 from gym_open.datasets.writing.splits import Share
 from gym_open.datasets.writing.tracks import CONTENT, SplitPlace, Track
+from gym_open.datasets.writing.video import EXACT, Coding
 from gym_open.errors import ArtefactError, UsageError
 from gym_open.formats.releases import Release
 from gym_open.formats.releases.features import Features
@@ -61,7 +62,7 @@ class ReleaseWriter:
     def __init__(
         self, folder: Path, header: Header, described: Features, shares: Mapping[Split, Share], *,
         ours: Mapping[str, Any], data_file_mb: int, after: Release | None = None, workers: int | None = None,
-        check: Callable[[Prepared], None] | None = None,
+        check: Callable[[Prepared], None] | None = None, coding: Coding = EXACT,
     ) -> None:  # fmt: skip
         """Begin, or continue from an earlier writer like this one. All other files in `folder` are removed.
 
@@ -74,6 +75,7 @@ class ReleaseWriter:
             data_file_mb: size in memory, in MiB, at which a new data file begins.
             after: release with the same features whose files come before this batch, copied byte for byte.
             workers: number of threads; by default one per processor.
+            coding: how images become video, if they do.
             check: called with every prepared episode, in its thread; what it raises ends the writing.
         """
         self._check = check
@@ -89,7 +91,7 @@ class ReleaseWriter:
                 place = SplitPlace(split, share, first, chunk, self._batch)
                 self._tracks[split] = Track(folder, place, described, data_file_mb * 2**20)
                 first, chunk = first.plus(*share), chunk + 1
-        self._video = described[IMAGE]["dtype"] == "video"
+        self._video = coding if described[IMAGE]["dtype"] == "video" else None
         self._tidy()
         threads = workers or usable_cores()
         self._pool = ThreadPoolExecutor(threads)

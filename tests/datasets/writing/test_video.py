@@ -87,7 +87,7 @@ def test_the_error_is_on_record(release: Release, monkeypatch: pytest.MonkeyPatc
     assert release.info["gym_open"]["video_error"] == {"mean": 0.0, "max": 0.0, "psnr": None}
     monkeypatch.setattr(
         "gym_open.datasets.writing.prepare.encode_clip",
-        lambda images: encode_clip(images ^ np.uint8(8 if len(images) == 21 else 2)),
+        lambda images, coding: encode_clip(images ^ np.uint8(8 if len(images) == 21 else 2), coding),
     )
     worse = open_release(build_release(CONFIG, [log], tmp_path / "worse").path)
     error, off = worse.info["gym_open"]["video_error"], np.where(worse.episodes["length"] == 21, 8, 2)
