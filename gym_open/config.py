@@ -57,8 +57,10 @@ def load(path: Path, kind: type[C]) -> C:
         ) from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror or error}); give a TOML file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: not valid TOML: {error}") from None
+    except RecursionError:
+        raise ConfigError(f"{path}: nested too deeply; remove brackets") from None
+    except ValueError as error:  # also of bytes that are no text, and of numbers with thousands of digits
+        raise ConfigError(f"{path}: not valid TOML: {str(error)[:300]}") from None
     return decode(raw, kind, source=str(path))
 
 

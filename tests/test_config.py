@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from gym_open.collect.config import CollectConfig
 from gym_open.config import Config, PositiveFloat, PositiveInt, check, decode, load, to_dict
 from gym_open.errors import ConfigError
 
@@ -79,3 +80,19 @@ def test_the_form_of_a_text_is_described_in_words() -> None:
 
     with pytest.raises(ConfigError, match=r"key `version`: expected three numbers, as 1\.0\.0, got '1\.0'"):
         decode({"version": "1.0"}, ReleaseConfig, source="file")
+
+
+HOSTILE = ("seed = " + "[" * 20_000 + "]" * 20_000, "seed = " + "9" * 5_000, "seed = \x00", "a." * 5_000 + "b = 1")
+
+
+@pytest.mark.parametrize("text", HOSTILE, ids=range(len(HOSTILE)))
+def test_hostile_toml_is_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "c.toml").write_text(text)
+    with pytest.raises(ConfigError, match=r"c\.toml"):
+        load(tmp_path / "c.toml", CollectConfig)
+
+
+def test_bytes_that_are_no_text_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "c.toml").write_bytes(b"\xff\xfe")
+    with pytest.raises(ConfigError, match="not valid TOML"):
+        load(tmp_path / "c.toml", CollectConfig)

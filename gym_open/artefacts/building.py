@@ -190,7 +190,7 @@ def _claim(partial: Path, key: str) -> bool:
         _verify_own(partial)
         return True
     mark = partial / SCRATCH / "key"
-    if partial.exists() and (not mark.is_file() or mark.read_text() != key):
+    if partial.exists() and (not mark.is_file() or mark.read_bytes() != key.encode()):
         _set_aside(partial)
     mark.parent.mkdir(parents=True, exist_ok=True)
     if not mark.exists():

@@ -86,6 +86,10 @@ _FLAGS = (tyro.conf.FlagCreatePairsOff,)
 """No additional `--no-…` option for each on-off option."""
 
 
+_OUT_OF_MEMORY = ("could not allocate", "can't allocate memory", "not enough memory", "out of memory")
+"""What MuJoCo (`mujoco.FatalError`), PyTorch and Arrow say when memory runs out."""
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one sub-command and return the exit code: 0 success, 1 the run or the check failed, 2 wrong use."""
     words = list(sys.argv[1:] if argv is None else argv)
@@ -117,11 +121,22 @@ def _run(name: str, words: list[str]) -> int:
     except OSError as error:
         print(printable(f"error: {error.filename or 'a file'}: {error.strerror or error}"), file=sys.stderr)
         return 1
+    except Exception as error:
+        if not _is_out_of_memory(error):
+            raise
+        print(f"error: {name}: there is not enough memory: {printable(str(error)[:200])}{_GOES_ON}", file=sys.stderr)
+        return 1
     except KeyboardInterrupt:
         goes_on = "" if name in ("viz", "render sheet", "render video") else _GOES_ON
         print(f"stopped{goes_on}", file=sys.stderr)
         return 130
     return 0
+
+
+def _is_out_of_memory(error: Exception) -> bool:
+    """Whether memory ran out: Python's own error, or that of MuJoCo or PyTorch, which have no class for it alone."""
+    text = str(error).lower()
+    return isinstance(error, MemoryError) or any(word in text for word in _OUT_OF_MEMORY)
 
 
 def _parse(name: str, words: list[str]) -> Command:

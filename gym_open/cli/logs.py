@@ -13,7 +13,7 @@ from gym_open.summary import short, word
 
 @dataclass(frozen=True, kw_only=True)
 class LogInfo(Command):
-    """Show what log files contain, channel by channel, and whether they are complete.
+    """Show what log files contain, channel by channel, and whether they are complete. It fails if they are damaged.
 
     Example: gym-open log info collect/logs/curl-ride
     """
@@ -27,7 +27,14 @@ class LogInfo(Command):
         """Read the files and print tables."""
         from gym_open.formats.logs.info import info_tables
 
-        show(*info_tables(self.log))
+        tables, wrong = info_tables(self.log)
+        show(*tables)
+        for fault in wrong:
+            say(fault)
+        if wrong:
+            raise GymOpenError(
+                f"{short(self.log)}: {len(wrong)} fault(s), see above; `gym-open log repair FILE` saves what is whole"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

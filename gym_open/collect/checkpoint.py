@@ -14,11 +14,11 @@ from gym_open.collect.stream import ExplorationStream, StreamPosition
 from gym_open.collect.summary import RunRecord, WorldCounts
 from gym_open.errors import ArtefactError
 from gym_open.formats.checkpoints import (
-    load_checkpoint,
     load_optimizer,
+    load_resumable,
     optimizer_tensors,
     prefixed,
-    save_checkpoint,
+    save_resumable,
     without_prefix,
 )
 
@@ -66,18 +66,19 @@ def save(path: Path, record: RunRecord, explorer: Explorer, pool: Pool, streams:
     }
     # A tensor: the header, which would hold JSON, is limited to 100 MB, and the curve grows with every rollout.
     tensors[_META] = torch.frombuffer(bytearray(msgspec.msgpack.encode(meta)), dtype=torch.uint8)
-    save_checkpoint(path, tensors, {})
+    save_resumable(path, tensors, {})
 
 
 def load(path: Path) -> Saved | None:
-    """Read the checkpoint at `path`. None if there is none yet.
+    """Read the newest whole checkpoint at `path`. None if there is none.
 
     Raises:
-        ArtefactError: if it is damaged.
+        ArtefactError: if another version wrote it.
     """
-    if not path.is_file():
+    found = load_resumable(path)
+    if found is None:
         return None
-    tensors, _ = load_checkpoint(path)
+    tensors, _ = found
     try:
         return Saved(tensors, msgspec.msgpack.decode(tensors[_META].numpy().tobytes(), type=_Meta))
     except (KeyError, msgspec.DecodeError) as error:

@@ -8,12 +8,16 @@ from gym_open.config import Config, Fraction, PositiveInt, Seed, matching
 from gym_open.formats.releases.layout import MAX_EPISODE_STEPS, Split
 
 Name = Annotated[
-    str, matching(r"^[a-z0-9][a-z0-9-]*/[a-z0-9][a-z0-9-]*$", "NAMESPACE/NAME of small letters, digits and -")
+    str, matching(r"^[a-z0-9][a-z0-9-]*/[a-z0-9][a-z0-9-]*\Z", "NAMESPACE/NAME of small letters, digits and -")
 ]
-Version = Annotated[str, matching(r"^(0|[1-9]\d{0,5})\.(0|[1-9]\d{0,5})\.(0|[1-9]\d{0,5})$", "three numbers, as 1.0.0")]
-Date = Annotated[str, matching(r"^(\d{4}-(0[1-9]|1[0-2])-(0[1-9]|[12]\d|3[01]))?$", "a day, as 2026-11-21, or nothing")]
+Version = Annotated[
+    str, matching(r"^(0|[1-9]\d{0,5})\.(0|[1-9]\d{0,5})\.(0|[1-9]\d{0,5})\Z", "three numbers, as 1.0.0")
+]
+Date = Annotated[
+    str, matching(r"^(\d{4}-(0[1-9]|1[0-2])-(0[1-9]|[12]\d|3[01]))?\Z", "a day, as 2026-11-21, or nothing")
+]
 License = Literal["mit", "cc-by-4.0", "cc0-1.0"]
-PuzzleDigest = Annotated[str, matching(r"^[0-9a-f]{6,64}$", "six hexadecimal digits or more")]
+PuzzleDigest = Annotated[str, matching(r"^[0-9a-f]{6,64}\Z", "six hexadecimal digits or more")]
 
 
 class Header(Config, frozen=True):

@@ -1,5 +1,6 @@
 """Checkpoints: one safetensors file with named tensors and everything else as JSON in its header. No pickle."""
 
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from torch import Tensor
 
 from gym_open.errors import ArtefactError
 from gym_open.files import write_atomically
+from gym_open.progress import console
 
 _META = "gym_open"
 """The only key of the header's metadata; safetensors does not write several keys in a fixed order."""
@@ -43,7 +45,64 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         raise ArtefactError(f"{path}: not a whole safetensors file ({error}); remove it and run again") from None
     if meta is None:
         raise ArtefactError(f"{path}: header lacks the key {_META!r}, so gym-open did not write it; give another file")
-    return tensors, json.loads(meta)
+    try:
+        return tensors, json.loads(meta)
+    except (ValueError, RecursionError) as error:
+        raise ArtefactError(f"{path}: its metadata is not JSON ({str(error)[:100]}); get the file again") from None
+
+
+def save_resumable(path: Path, tensors: dict[str, Tensor], meta: dict[str, Any]) -> None:
+    """Write a checkpoint from which a killed run continues, with a digest of its contents.
+
+    The checkpoint before it is kept beside it, as `before-NAME`.
+    """
+    if path.exists():
+        path.replace(_before(path))
+    save_checkpoint(path, tensors, {"meta": meta, "sha256": _digest(tensors, meta)})
+
+
+def load_resumable(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
+    """Read the newest whole checkpoint at `path`, or the one before it. None if there is none: start afresh.
+
+    A damaged checkpoint is never used; what happens instead is printed.
+    """
+    damaged = False
+    for place in (path, _before(path)):
+        if not place.exists():
+            continue
+        found = _whole(place)
+        if found is not None:
+            if damaged:
+                console.print(f"{path}: damaged; the run continues from the checkpoint before it", highlight=False)
+            return found
+        damaged = True
+    if damaged:
+        console.print(f"{path}: damaged, and there is no whole one before it; the run starts again", highlight=False)
+    return None
+
+
+def _before(path: Path) -> Path:
+    return path.with_name(f"before-{path.name}")
+
+
+def _whole(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
+    """The contents of a checkpoint; None if they do not have the digest that it names."""
+    try:
+        tensors, said = load_checkpoint(path)
+        meta = said["meta"]
+        return (tensors, meta) if said["sha256"] == _digest(tensors, meta) else None
+    except (ArtefactError, KeyError, TypeError, ValueError, RecursionError):
+        return None
+
+
+def _digest(tensors: dict[str, Tensor], meta: dict[str, Any]) -> str:
+    """SHA-256 of names, types, shapes and bytes of all tensors, and of `meta`."""
+    total = hashlib.sha256(json.dumps(meta, sort_keys=True).encode())
+    for name, tensor in sorted(tensors.items()):
+        total.update(json.dumps([name, str(tensor.dtype), list(tensor.shape)]).encode())
+        flat = tensor.detach().cpu().contiguous().reshape(-1)
+        total.update(flat.view(torch.uint8).numpy().data)
+    return total.hexdigest()
 
 
 def optimizer_tensors(optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:

@@ -112,10 +112,12 @@ def read_architecture(artefact: Path, kind: type[A]) -> A:
         raise ArtefactError(_no_model(artefact)) from None
     try:
         return msgspec.json.decode(data, type=kind)
+    except (UnicodeDecodeError, RecursionError) as error:
+        raise ArtefactError(f"{path}: not JSON: {str(error)[:100]}; get the model again") from None
     except msgspec.DecodeError as error:
         names = {"encoder": "an encoder", "policy": "a policy"}
         wanted = names.pop("encoder" if kind is EncoderArchitecture else "policy")
-        with suppress(msgspec.DecodeError):
+        with suppress(msgspec.DecodeError, RecursionError):
             if given := names.get(msgspec.json.decode(data, type=_ModelKind).kind):
                 raise ArtefactError(f"{artefact}: {given}, not {wanted}; give the folder of {wanted}") from None
         raise ArtefactError(f"{path}: not {wanted} as gym-open writes it: {error}") from None
@@ -157,4 +159,10 @@ def _load_weights(path: Path, model: nn.Module) -> None:
                 f"{path}: tensor {name!r} should have shape {tuple(expected[name].shape)}, "
                 f"got {tuple(found[name].shape)}; {ARCHITECTURE} does not belong to this file"
             )
+        if found[name].dtype != expected[name].dtype:
+            raise ArtefactError(
+                f"{path}: tensor {name!r} should be {expected[name].dtype}, got {found[name].dtype}; get it again"
+            )
+        if not torch.isfinite(found[name]).all():
+            raise ArtefactError(f"{path}: tensor {name!r} holds numbers that are not finite; get the model again")
     model.load_state_dict(found)

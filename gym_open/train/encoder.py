@@ -18,11 +18,11 @@ from gym_open.agents.world_models import make_world_model
 from gym_open.envs.constants import N_ACTIONS
 from gym_open.errors import ArtefactError, DivergedError
 from gym_open.formats.checkpoints import (
-    load_checkpoint,
     load_optimizer,
+    load_resumable,
     optimizer_tensors,
     prefixed,
-    save_checkpoint,
+    save_resumable,
     without_prefix,
 )
 from gym_open.formats.models import save_encoder
@@ -215,13 +215,14 @@ class _EncoderTrainer:
             **prefixed("optimizer", optimizer_tensors(self.optimizer)),
             "shifts": self.shifts.get_state(),
         }
-        save_checkpoint(self.checkpoint, tensors, {"rows": self.rows})
+        save_resumable(self.checkpoint, tensors, {"rows": self.rows})
 
     def resume(self) -> None:
         """Continue from the checkpoint if there is one."""
-        if not self.checkpoint.exists():
+        found = load_resumable(self.checkpoint)
+        if found is None:
             return
-        tensors, meta = load_checkpoint(self.checkpoint)
+        tensors, meta = found
         self.model.load_state_dict(without_prefix("model", tensors))
         load_optimizer(self.optimizer, without_prefix("optimizer", tensors))
         self.shifts.set_state(tensors["shifts"])

@@ -19,12 +19,13 @@ from gym_open.config import to_dict
 from gym_open.envs.constants import N_ACTIONS
 from gym_open.envs.env import OpenEnv
 from gym_open.errors import ArtefactError, ConfigError, DivergedError
+from gym_open.files import sha256_file
 from gym_open.formats.checkpoints import (
-    load_checkpoint,
     load_optimizer,
+    load_resumable,
     optimizer_tensors,
     prefixed,
-    save_checkpoint,
+    save_resumable,
     without_prefix,
 )
 from gym_open.formats.models import (
@@ -187,6 +188,8 @@ class _PolicyTrainer:
         )
         self.rows: list[Row] = []
         self.checkpoints: list[dict[str, int]] = []
+        self.files: dict[str, str] = {}
+        """SHA-256 of every file of the policies that were saved so far, by name."""
         self.batch_size = config.num_envs * config.num_steps
         self.num_updates = -(-config.steps // self.batch_size)
 
@@ -295,26 +298,37 @@ class _PolicyTrainer:
         for asked in self.config.checkpoints:
             if self.step - self.batch_size < asked <= self.step:
                 self.checkpoints.append({"asked": asked, "step": self.step})
-                save_policy(policy_folder(self.folder, self.step), self.agent)
+                folder = policy_folder(self.folder, self.step)
+                save_policy(folder, self.agent)
+                paths = [path for path in sorted(folder.rglob("*")) if path.is_file()]
+                self.files |= {path.relative_to(self.folder).as_posix(): sha256_file(path) for path in paths}
         tensors = {
             **prefixed("agent", self.agent.state_dict()),
             **prefixed("optimizer", optimizer_tensors(self.optimizer)),
             "acting": self.acting.get_state(),
             "updating": self.updating.get_state(),
         }
-        meta = {"rows": self.rows, "checkpoints": self.checkpoints, "tables": self.environments.state()}
-        save_checkpoint(self.saved, tensors, meta)
+        meta = {
+            "rows": self.rows, "checkpoints": self.checkpoints, "tables": self.environments.state(),
+            "files": self.files,
+        }  # fmt: skip
+        save_resumable(self.saved, tensors, meta)
 
     def resume(self) -> None:
         """Continue from the checkpoint if there is one."""
-        if not self.saved.exists():
+        found = load_resumable(self.saved)
+        if found is None:
             return
-        tensors, meta = load_checkpoint(self.saved)
+        tensors, meta = found
+        for name, digest in meta["files"].items():
+            if not (self.folder / name).is_file() or sha256_file(self.folder / name) != digest:
+                progress.console.print(f"{self.folder / name}: damaged; the run starts again", highlight=False)
+                return
         self.agent.load_state_dict(without_prefix("agent", tensors))
         load_optimizer(self.optimizer, without_prefix("optimizer", tensors))
         self.acting.set_state(tensors["acting"])
         self.updating.set_state(tensors["updating"])
-        self.rows, self.checkpoints = meta["rows"], meta["checkpoints"]
+        self.rows, self.checkpoints, self.files = meta["rows"], meta["checkpoints"], meta["files"]
         self.environments.restore(meta["tables"])
 
 

@@ -225,3 +225,31 @@ def test_an_interrupted_viz_does_not_mention_a_checkpoint(
     monkeypatch.setattr(COMMANDS["viz"], "run", stop)
     assert main(["viz", "log"]) == 130
     assert capsys.readouterr().err == "stopped\n"
+
+
+NO_MEMORY = (
+    MemoryError(),
+    RuntimeError("could not allocate mjData arena"),
+    RuntimeError("DefaultCPUAllocator: can't allocate memory"),
+)
+
+
+@pytest.mark.parametrize("error", NO_MEMORY)
+def test_too_little_memory_is_said(
+    error: Exception, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    def fail(_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(COMMANDS["dataset list"], "run", fail)
+    assert main(["dataset", "list", str(tmp_path)]) == 1
+    assert "there is not enough memory" in capsys.readouterr().err
+
+
+def test_other_errors_are_not_hidden(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def fail(_: object) -> None:
+        raise RuntimeError("a mistake in the program")
+
+    monkeypatch.setattr(COMMANDS["dataset list"], "run", fail)
+    with pytest.raises(RuntimeError, match="a mistake"):
+        main(["dataset", "list", str(tmp_path)])

@@ -14,6 +14,7 @@ import pandas as pd
 import pytest
 
 from gym_open import artefacts
+from gym_open.config import decode
 from gym_open.datasets import Release, open_release
 from gym_open.datasets.build import build_release
 from gym_open.datasets.config import FilterConfig, MergeConfig, ReleaseConfig
@@ -338,3 +339,14 @@ def test_no_episode_is_longer_than_a_video_may_be(log: Path, tmp_path: Path) -> 
     assert list(tmp_path.iterdir()) == []
     build_release(ReleaseConfig(pictures="video", max_episode_steps=24_999), [log], tmp_path / "r")
     build_release(ReleaseConfig(pictures="png", max_episode_steps=51_199), [log], tmp_path / "p")
+
+
+@pytest.mark.parametrize("field", ["name", "version", "published"])
+@pytest.mark.parametrize("place", ["before", "within", "after"])
+def test_no_control_character_passes_in_a_header(field: str, place: str) -> None:
+    good = {"name": "open/explore", "version": "1.0.0", "published": "2026-11-21"}[field]
+    at = {"before": 0, "within": 3, "after": len(good)}[place]
+    assert decode({field: good}, ReleaseConfig, source="options")
+    for character in [*map(chr, range(33)), "\x7f", "\x85", "\u2028", "\u202e", "'", '"', "$", "`", ";"]:
+        with pytest.raises(ConfigError, match=field):
+            decode({field: good[:at] + character + good[at:]}, ReleaseConfig, source="options")

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from safetensors.torch import save_file
 
 from gym_open import artefacts
 from gym_open.agents.config import EncoderConfig
@@ -134,3 +135,30 @@ def test_a_network_too_wide_is_refused_before_it_is_made(tmp_path: Path) -> None
     path.write_text(json.dumps(said))
     with pytest.raises(ArtefactError, match=r"model\.json: not an encoder .*<= 16384"):
         load_encoder(tmp_path)
+
+
+def _broken(folder: Path, change: str) -> Path:
+    save_encoder(folder, encoder())
+    tensors, _ = load_checkpoint(folder / "model.safetensors")
+    name = next(name for name, tensor in tensors.items() if tensor.is_floating_point())
+    if change == "not finite":
+        tensors[name] = torch.full_like(tensors[name], float("nan"))
+        save_checkpoint(folder / "model.safetensors", tensors, {})
+    elif change == "int64":
+        tensors[name] = tensors[name].to(torch.int64)
+        save_checkpoint(folder / "model.safetensors", tensors, {})
+    elif change == "metadata":
+        save_file(tensors, folder / "model.safetensors", metadata={"gym_open": "{not json"})
+    elif change == "nested metadata":
+        save_file(tensors, folder / "model.safetensors", metadata={"gym_open": "[" * 50_000})
+    elif change == "nested":
+        (folder / "model.json").write_text("[" * 50_000)
+    else:
+        (folder / "model.json").write_bytes(b"\xff")
+    return folder
+
+
+@pytest.mark.parametrize("change", ["not finite", "int64", "metadata", "nested metadata", "nested", "bytes"])
+def test_hostile_models_are_refused(tmp_path: Path, change: str) -> None:
+    with pytest.raises(ArtefactError, match=r"model\.(json|safetensors)"):
+        load_encoder(_broken(tmp_path, change))

@@ -4,6 +4,7 @@ checkpoint/parts/train-000.{episodes,keyframes}.parquet    for the first data fi
 checkpoint/parts/train-000.json                            written last, when the data file is whole
 """
 
+import hashlib
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -28,6 +29,13 @@ class Mark(msgspec.Struct, frozen=True):
     frames: int
     files: dict[str, str]
     """SHA-256 of the data file and of its video, by path in the release."""
+    rows: dict[str, str]
+    """SHA-256 of the rows about it, by table."""
+
+
+def sha256_json(value: Any) -> str:
+    """SHA-256 of a value as JSON."""
+    return hashlib.sha256(canonical_json(value)).hexdigest()
 
 
 class Part:
@@ -63,13 +71,17 @@ class Part:
         for name in files:
             _sync(self._folder / name)
         hashes = {name: sha256_file(self._folder / name) for name in files}
-        write_atomically(self._base.with_suffix(".json"), canonical_json(Mark(episodes, frames, hashes)))
+        rows = {table: sha256_file(self.path(table)) for table in self._writers}
+        mark = Mark(episodes, frames, hashes, rows)
+        write_atomically(self._base.with_suffix(".json"), canonical_json([sha256_json(mark), mark]))
 
     def mark(self) -> Mark | None:
         """The mark, if there is one and it fits the files."""
         try:
-            mark = msgspec.json.decode(self._base.with_suffix(".json").read_bytes(), type=Mark)
-            whole = all(sha256_file(self._folder / name) == digest for name, digest in mark.files.items())
+            said, mark = msgspec.json.decode(self._base.with_suffix(".json").read_bytes(), type=tuple[str, Mark])
+            whole = said == sha256_json(mark)
+            whole = whole and all(sha256_file(self._folder / name) == digest for name, digest in mark.files.items())
+            whole = whole and all(sha256_file(self.path(table)) == digest for table, digest in mark.rows.items())
         except (OSError, msgspec.DecodeError):
             return None
         return mark if whole else None

@@ -24,6 +24,11 @@ MAX_CHUNK = 64 * 2**20
 MAX_EXPANSION = 2000
 """Greatest ratio of unpacked to packed size. The index takes 16 bytes per message, so our files stay below 1000."""
 
+_IN_CHUNKS = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE}
+_LEAST_BYTES, _MOST_RECORDS = 64, 100
+"""A chunk has at most this many records, and one more for each of so many bytes: reading a file of tiny records would
+take minutes."""
+
 T = TypeVar("T")
 
 _HEAD = struct.Struct("<BQ")
@@ -295,12 +300,15 @@ def _messages(record: _Record, topics: dict[int, str]) -> Iterator[tuple[int, Lo
     """Messages of a chunk with their numbers, which continue from chunk to chunk."""
     with _damage_at(record.offset):
         raw = _unpack(record)
-        offset = 0
+        offset = count = 0
         while offset < len(raw):
             opcode, length = _HEAD.unpack_from(raw, offset)
             start, offset = offset + _HEAD.size, offset + _HEAD.size + length
+            count += 1
             if offset > len(raw):
                 raise ValueError("a record in the chunk is longer than the chunk")
+            if opcode not in _IN_CHUNKS or count > _MOST_RECORDS + len(raw) // _LEAST_BYTES:
+                raise ValueError("the chunk holds records that no log holds, or far too many; refused")
             if opcode == Opcode.CHANNEL:
                 named = Channel.read(ReadDataStream(BytesIO(raw[start:offset])))
                 topics[named.id] = named.topic

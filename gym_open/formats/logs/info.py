@@ -11,6 +11,7 @@ from rich.table import Table
 from gym_open import progress
 from gym_open.formats.logs import schemas
 from gym_open.formats.logs.container import Damage
+from gym_open.formats.logs.folder import NamedHead, folder_faults
 from gym_open.formats.logs.logfile import foreign, open_whole_chunks
 from gym_open.formats.logs.messages import decode_segment, decode_stuck, decode_switch
 from gym_open.formats.logs.reader import found_files
@@ -78,8 +79,8 @@ def inspect(path: Path) -> FileInfo:
     return info
 
 
-def info_tables(source: Path) -> list[Table]:
-    """Tables of the files, streams and channels of a log file or of a folder with logs.
+def info_tables(source: Path) -> tuple[list[Table], list[str]]:
+    """Tables of the files, streams and channels of a log file or of a folder with logs, and what is wrong.
 
     Raises:
         ArtefactError: if there is no log, or a file is not a log.
@@ -92,7 +93,10 @@ def info_tables(source: Path) -> list[Table]:
         for path in paths:
             files.append(inspect(path))
             bar.advance()
-    return [_files(files), _streams(files, alone=source.is_file()), _channels(files)]
+    wrong = [f"{file.path}: damaged {file.health}" for file in files if file.damage is not None]
+    if not source.is_file():
+        wrong += folder_faults(source, [NamedHead(file.path, file.head, file.part) for file in files])
+    return [_files(files), _streams(files, alone=source.is_file()), _channels(files)], wrong
 
 
 def _files(files: Sequence[FileInfo]) -> Table:

@@ -118,6 +118,7 @@ def open_whole_chunks(path: Path) -> tuple[LogFile, Damage | None]:
         if damage is None:
             _check_attachments(contents)
             _check_channels(contents)
+            contents = _counted(path, contents)
         elif not contents.chunks or contents.chunks[-1].offset >= damage.offset:
             following = None  # the record stands after the damage
         if following not in (None, {"part": str(part + 1)}):
@@ -129,6 +130,18 @@ def open_whole_chunks(path: Path) -> tuple[LogFile, Damage | None]:
     except (ValueError, KeyError, GymOpenError) as error:
         raise foreign(path, error) from None
     return LogFile(path, contents, head, part, goes_on=following is not None), damage
+
+
+def _counted(path: Path, found: Contents) -> Contents:
+    """The same with the number of messages of chunks that have no index, which MCAP allows; they are unpacked."""
+    numbers = {topic: number for number, topic in found.topics.items()}
+    places = []
+    for place in found.chunks:
+        if not place.counts:
+            topics = Counter(message.topic for message in read_chunk(path, place, dict(found.topics)))
+            place = place._replace(counts={numbers[topic]: count for topic, count in topics.items()})  # noqa: PLW2901
+        places.append(place)
+    return found._replace(chunks=places)
 
 
 def _before_damage(path: Path, found: Contents, damage: Damage, head: Contents) -> Contents:

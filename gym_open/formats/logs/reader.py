@@ -7,6 +7,7 @@ from pathlib import Path
 from gym_open.errors import ArtefactError, GymOpenError, UsageError
 from gym_open.formats.logs import schemas
 from gym_open.formats.logs.container import LogMessage
+from gym_open.formats.logs.folder import NamedHead, folder_faults
 from gym_open.formats.logs.logfile import REPAIR, RESTORE, LogFile, foreign, open_file, open_whole_chunks
 from gym_open.formats.logs.messages import PIXELS, decode_stuck, decode_switch
 from gym_open.formats.logs.schemas import LogError, Segment, Stuck, Switch, UnfinishedError, log_name
@@ -185,9 +186,15 @@ def open_logs(artefact: Path) -> list[Log]:
     """Check and open the log of every stream in a log artefact.
 
     Raises:
-        ArtefactError: see `log_files` and `open_log`.
+        ArtefactError: see `log_files`, `open_log` and `folder_faults`.
     """
-    return [open_log(parts) for parts in log_files(artefact)]
+    opened = [[open_file(path) for path in parts] for parts in log_files(artefact)]
+    for files in opened:
+        _check_parts(files)
+    heads = [NamedHead(file.path, file.head, file.part) for files in opened for file in files]
+    for fault in folder_faults(artefact, heads):
+        raise LogError(f"{fault}; {RESTORE}")
+    return [log_of(files) for files in opened]
 
 
 def open_whole_part(files: Sequence[Path]) -> Log:

@@ -26,10 +26,10 @@ _MAX_COUNT = 2**40
 
 Count = Annotated[int, Meta(ge=1, le=_MAX_COUNT)]
 Text = Annotated[str, Meta(max_length=200)]
-_NAMESPACED = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9-]*/[a-z0-9][a-z0-9-]*$", max_length=200)]
-_SEMVER = Annotated[str, Meta(pattern=r"^(0|[1-9]\d{0,5})\.(0|[1-9]\d{0,5})\.(0|[1-9]\d{0,5})$", max_length=20)]
-_DAY = Annotated[str, Meta(pattern=r"^(\d{4}-\d\d-\d\d)?$", max_length=10)]
-_THING = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_:.-]+$", max_length=100)]
+_NAMESPACED = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9-]*/[a-z0-9][a-z0-9-]*\Z", max_length=200)]
+_SEMVER = Annotated[str, Meta(pattern=r"^(0|[1-9]\d{0,5})\.(0|[1-9]\d{0,5})\.(0|[1-9]\d{0,5})\Z", max_length=20)]
+_DAY = Annotated[str, Meta(pattern=r"^(\d{4}-\d\d-\d\d)?\Z", max_length=10)]
+_THING = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_:.-]+\Z", max_length=100)]
 
 
 class _VideoError(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.opcode import Opcode
 from mcap.well_known import MessageEncoding, SchemaEncoding
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType, IndexType, Writer
 
 from gym_open.cli import main
 from gym_open.formats.logs import container as log_container
@@ -41,12 +41,13 @@ def rewritten(
     definitions: Mapping[str, tuple[str, str] | None] | None = None,
     messages: Iterable[LogMessage] | None = None,
     twice: str = "",
+    index: IndexType = IndexType.ALL,
 ) -> Path:
     """Write the log again with the MCAP package: all CRCs are right, and one thing is changed."""
     contents = read_contents(whole)
     files = {**contents.attachments, **(attachments or {})}
     with out.open("wb") as file:
-        writer = Writer(file, compression=CompressionType.ZSTD, enable_data_crcs=True)
+        writer = Writer(file, compression=CompressionType.ZSTD, enable_data_crcs=True, index_types=index)
         writer.start("ros2")
         channels: dict[str, int] = {}
         for topic, kind in {**log_schemas.DEFINITIONS, **(definitions or {})}.items():
@@ -367,3 +368,28 @@ def test_nonsense_in_messages_is_a_log_error_if_anything(whole: Path, tmp_path: 
     with suppress(LogError):
         for _ in open_log(path).segments(2):
             pass
+
+
+def test_a_log_without_message_indexes_is_whole(whole: Path, tmp_path: Path) -> None:
+    """MCAP allows it; the messages are counted in the chunks."""
+    path = rewritten(whole, tmp_path / whole.name, index=IndexType.ALL & ~IndexType.MESSAGE)
+    log, other = open_log(whole), open_log(path)
+    assert (log.n_steps, len(log.switches)) == (other.n_steps, len(other.switches))
+    assert other.damage is None
+    assert main(["log", "info", str(path)]) == 0
+
+
+@pytest.mark.parametrize("record", [bytes(9), struct.pack("<BQHIQQ", Opcode.MESSAGE, 22, 1, 0, 0, 0)])
+def test_chunks_of_tiny_records_are_refused_at_once(whole: Path, tmp_path: Path, record: bytes) -> None:
+    """Eight such chunks, within the limit of expansion, took a minute to read."""
+    raw = record * (2**22 // len(record))
+    packed = zstandard.compress(raw)
+    body = (
+        struct.pack("<QQQI", 0, 0, len(raw), zlib.crc32(raw)) + struct.pack("<I4sQ", 4, b"zstd", len(packed)) + packed
+    )
+    data = whole.read_bytes()
+    first = read_contents(whole).chunks[0].offset
+    path = tmp_path / whole.name
+    path.write_bytes(data[:first] + struct.pack("<BQ", Opcode.CHUNK, len(body)) + body + data[first:])
+    with pytest.raises(LogError, match=r"far too many; refused|is invalid"):
+        open_log(path)

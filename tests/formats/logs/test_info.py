@@ -31,7 +31,7 @@ def parts(made_up: Any, tmp_path: Path) -> list[Path]:
 
 def cells(source: Path, number: int) -> list[list[str]]:
     """Rows of one of the tables: files, streams, channels."""
-    columns = [list(column.cells) for column in info_tables(source)[number].columns]
+    columns = [list(column.cells) for column in info_tables(source)[0][number].columns]
     return [[str(cell) for cell in row] for row in zip(*columns, strict=True)]
 
 
@@ -65,7 +65,7 @@ def test_files_and_streams_are_summarised(whole: Path) -> None:
     ]
     assert ["/step", "gym_open_msgs/msg/Step", "27"] in cells(whole, 2)
     assert not any(row[0] == schemas.DEPTH for row in cells(whole, 2))
-    assert info_tables(whole)[0].title == "gym-open-log/2, written by 0.1.0+abc, seed 7"
+    assert info_tables(whole)[0][0].title == "gym-open-log/2, written by 0.1.0+abc, seed 7"
 
 
 def test_parts_are_summarised(whole: Path, parts: list[Path], tmp_path: Path) -> None:
@@ -123,8 +123,10 @@ def test_the_commands_say_what_to_do_next(whole: Path, tmp_path: Path, capsys: p
     assert main(["log", "repair", str(path)]) == 0
     assert "is complete, nothing to do" in capsys.readouterr().out
     path.write_bytes(whole.read_bytes()[:-20_000])
-    assert main(["log", "info", str(path)]) == 0
-    assert "at byte" in capsys.readouterr().out
+    assert main(["log", "info", str(path)]) == 1
+    said = capsys.readouterr()
+    assert "at byte" in said.out
+    assert "gym-open log repair" in said.err
     assert main(["log", "repair", str(path)]) == 0
     shown = " ".join(capsys.readouterr().out.split())
     saved = path.with_name("stream-002-000-repaired.mcap")
