@@ -10,13 +10,18 @@ import pytest
 
 from gym_open import artefacts
 from gym_open.cli import main
+from gym_open.datasets.compact.restore import restore_release
 from gym_open.files import sha256_file
-from gym_open.formats.releases.content import payload_digest
+from gym_open.formats.compact import open_compact
+from gym_open.formats.releases.content import episode_digest, payload_digest
 from gym_open.formats.releases.layout import RECORDS, belongs
+from gym_open.replay.compact.player import CompactPlayer, stored_episodes
+from gym_open.replay.compact.release import CompactRelease, content_of
 from gym_open.workspace import template
 
 PUBLISHED = template() / "datasets/published"
-RELEASES = sorted(path.parent for path in PUBLISHED.glob("*/*/*/manifest.json"))
+RELEASES = sorted(path.parent.parent for path in PUBLISHED.glob("*/*/*/meta/info.json"))
+COMPACT = sorted(path.parent for path in PUBLISHED.glob("*/*/*/compact.json"))
 
 REDUCED = "fcb21ecfd259e436aeb20da2f66015ef0f0fa5708a987b8cd92e5905ddbe3a5c"
 """Of the frames in the release of 256 steps of plain random play, seed 0, as they came out when it was first made.
@@ -45,6 +50,37 @@ def test_what_is_kept_of_it_is_what_its_manifest_lists(root: Path) -> None:
     digests = msgspec.json.decode((root / "meta/digests.json").read_bytes())
     row = next(line for line in (PUBLISHED / "README.md").read_text().splitlines() if payload_digest(entries) in line)
     assert digests["release"] in row
+
+
+def test_there_is_a_compact_release() -> None:
+    assert [path.relative_to(PUBLISHED).as_posix() for path in COMPACT] == ["open/play/1.0.0"]
+
+
+@pytest.mark.parametrize("root", COMPACT, ids=lambda path: path.relative_to(PUBLISHED).as_posix())
+def test_a_compact_release_is_what_the_page_says_and_plays_as_it_did(root: Path) -> None:
+    """The first two episodes of every explorer; `gym-open dataset verify` plays all of them."""
+    compact = open_compact(root)
+    row = next(line for line in (PUBLISHED / "README.md").read_text().splitlines() if compact.info.payload in line)
+    assert compact.info.content in row
+    assert f"{compact.info.steps:,} steps" in row
+    assert sum(path.stat().st_size for path in root.rglob("*") if path.is_file()) < 40e6
+    release = CompactRelease(compact)
+    explorers = release.episodes.groupby("explorer").head(2)["episode_index"].tolist()
+    numbers = {number: play for play, (number, _) in enumerate(compact.numbers)}
+    player = CompactPlayer(compact)
+    wanted = {numbers[number] for number in explorers}
+    for stored in stored_episodes(compact):
+        if stored.number in wanted:
+            found = content_of(player.play(stored))
+            assert episode_digest(found, release.rows[compact.numbers[stored.number][0]]) == stored.row.digest
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("root", COMPACT, ids=lambda path: path.relative_to(PUBLISHED).as_posix())
+def test_a_compact_release_is_restored_in_every_byte(root: Path, tmp_path: Path) -> None:
+    found = restore_release(root, tmp_path / "release")
+    assert found.different == []
+    assert artefacts.digest(found.path) == open_compact(root).info.release
 
 
 def _make(work: Path, workers: int) -> Path:
