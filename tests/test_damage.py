@@ -24,7 +24,7 @@ from gym_open.train.config import EncoderTrainConfig, PolicyTrainConfig
 from gym_open.train.encoder import train_encoder
 from gym_open.train.policy import train_policy
 
-FLIPS = 8
+FLIPS = 4
 PLAY = CollectConfig(
     steps=256, streams=2, rollout=8, pool=3, probe=16, checkpoint_every=2, threads=1, seed=1,
     explorer=ExplorerConfig(world_model="none", reward="none"),

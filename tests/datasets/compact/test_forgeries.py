@@ -135,6 +135,9 @@ CAUGHT_BY_SIMULATION = {
 }  # fmt: skip
 
 
+RESTORED = ("an action", "an intrinsic reward", "a world", "a switch")
+
+
 @pytest.fixture
 def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """A child takes seconds to start."""
@@ -168,9 +171,10 @@ def test_what_is_simulated_otherwise_is_refused(copy: Path, tmp_path: Path, name
     report = verify_release(copy)
     assert [problem.what for problem in report.problems], name
     assert "NOT verified" in report.verdict
-    with pytest.raises(ArtefactError):
-        restore_release(copy, tmp_path / "back", workers=1)
-    assert not (tmp_path / "back").exists()
+    if name in RESTORED:  # the others are caught by the same comparisons
+        with pytest.raises(ArtefactError):
+            restore_release(copy, tmp_path / "back", workers=1)
+        assert not (tmp_path / "back").exists()
 
 
 def test_a_child_simulates(copy: Path) -> None:
