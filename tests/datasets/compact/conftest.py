@@ -52,14 +52,16 @@ def _without_figures() -> Iterator[None]:
         yield
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def release(random_log: Path, learned_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A release of both. Pieces of 12 steps do not end at keyframes."""
     config = ReleaseConfig(name="open/both", max_episode_steps=12, val_fraction=0.4)
-    return build_release(config, [random_log, learned_log], tmp_path_factory.mktemp("release") / "1.0.0").path
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(documents, "draw", lambda _: {})
+        return build_release(config, [random_log, learned_log], tmp_path_factory.mktemp("release") / "1.0.0").path
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def packed(release: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Its compact form."""
     return pack_release(release, tmp_path_factory.mktemp("packed") / "compact").path

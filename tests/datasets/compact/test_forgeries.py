@@ -178,7 +178,6 @@ def test_what_is_simulated_otherwise_is_refused(copy: Path, tmp_path: Path, name
 
 
 def test_a_child_simulates(copy: Path) -> None:
-    assert verify_release(copy).problems == []
     CAUGHT_BY_SIMULATION["an action"](copy)
     seal(copy)
     (problem,) = verify_release(copy).problems

@@ -67,7 +67,7 @@ def test_an_interrupted_build_goes_on(
     out = tmp_path / "release"
     interrupted(log, out, after)
     partial = tmp_path / ".release.partial"
-    kept = sum(json.loads(path.read_text())["episodes"] for path in partial.glob("checkpoint/parts/*.json"))
+    kept = sum(json.loads(path.read_text())[1]["episodes"] for path in partial.glob("checkpoint/parts/*.json"))
     assert bool(kept) == (after > 2)
     again: list[SourceEpisode] = []
 
@@ -84,7 +84,7 @@ def test_what_is_damaged_of_a_finished_file_is_written_again(log: Path, release:
     out = tmp_path / "release"
     interrupted(log, out, after=17)
     mark = next((tmp_path / ".release.partial").glob("checkpoint/parts/*.json"))
-    data = tmp_path / ".release.partial" / min(json.loads(mark.read_text())["files"])
+    data = tmp_path / ".release.partial" / min(json.loads(mark.read_text())[1]["files"])
     data.write_bytes(data.read_bytes()[:-1] + b"?")
     assert artefacts.digest(build_release(CONFIG, [log], out).path) == release.digest
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from pandas.testing import assert_frame_equal
 
-from gym_open.datasets.compact.pack import pack_release
 from gym_open.errors import ArtefactError
 from gym_open.formats.releases import Release, open_release
 from gym_open.formats.releases.content import table_digest
@@ -14,15 +13,10 @@ from gym_open.formats.releases.layout import TABLES
 from gym_open.formats.windows import Pictures, Windows
 from gym_open.replay.compact import open_dataset
 from gym_open.replay.compact.release import CompactRelease
-from tests.datasets.compact.conftest import learned_log, random_log, release  # noqa: F401  # fixtures
+from tests.datasets.compact.conftest import learned_log, packed, random_log, release  # noqa: F401  # fixtures
 
 FILES = {"data/chunk_index", "data/file_index", "meta/episodes/chunk_index", "tasks"}
 """Columns about the release's files, which a compact release does not have."""
-
-
-@pytest.fixture(scope="module")
-def packed(release: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:  # noqa: F811
-    return pack_release(release, tmp_path_factory.mktemp("packed") / "compact").path
 
 
 @pytest.fixture(scope="module")
@@ -86,6 +80,6 @@ def test_windows_are_equal_and_other_processes_open_them(pair: tuple[Release, Re
     assert np.array_equal(again.take(numbers), pictures[0].take(numbers))
 
 
-def test_a_command_for_releases_alone_says_what_to_do(packed: Path) -> None:
+def test_a_command_for_releases_alone_says_what_to_do(packed: Path) -> None:  # noqa: F811
     with pytest.raises(ArtefactError, match="gym-open dataset restore"):
         open_release(packed)
